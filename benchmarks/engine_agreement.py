@@ -179,7 +179,8 @@ def summary(terrain: str, pairs: Sequence[Pair]) -> dict[str, Any]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the rows and the episodes on which the engines disagree."""
-    from flipperctl.cli.plan import scenes
+    from flipperctl.requests.plan import scenes
+    from flipperctl.requests.text import from_words
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.engine_agreement")
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as in terrain=step,stair")
@@ -191,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = [f"eval.episodes={chosen.episodes}", f"eval.seed={chosen.seed}", *chosen.overrides]
     if not any(word.startswith("sim=") for word in words):
         words.append("sim=mujoco")
-    asked = scenes(words, None, chosen.controller)
+    asked = scenes(from_words(words), None, chosen.controller)
     if asked[0][0].sim.plugin_name == DEFAULT_ENGINE:
         raise RequestError(f"sim={DEFAULT_ENGINE} is the engine to compare with; choose another")
     for config, _ in asked:

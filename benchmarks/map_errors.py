@@ -241,10 +241,11 @@ def _words(size: MapErrorSize) -> list[str]:
 
 
 def _record(words: Sequence[str], seed: int) -> list[Errors]:
-    from flipperctl.cli.plan import scenes
+    from flipperctl.requests.plan import scenes
+    from flipperctl.requests.text import from_words
 
     found = []
-    for config, source in scenes(words, None, "okada"):
+    for config, source in scenes(from_words(words), None, "okada"):
         runner = EpisodeRunner(config, source, seed)
         found += [Errors.of(runner.transitions(i)[0]) for i in range(config.eval.episodes)]
     return found
@@ -268,10 +269,11 @@ def _describe(name: str, recorded: Sequence[Errors]) -> None:
 
 
 def _print_variation(policy: str, name: str, words: Sequence[str]) -> None:
-    from flipperctl.cli.plan import scenes
+    from flipperctl.requests.plan import scenes
+    from flipperctl.requests.text import from_words
 
     rule = policy == "okada"
-    found = scenes(words, None if rule else Path(policy), policy if rule else None)
+    found = scenes(from_words(words), None if rule else Path(policy), policy if rule else None)
     cells = []
     for played in evaluate(Plan.of_one([Entry(*scene) for scene in found])).played:
         reached = played.episodes.reached

@@ -14,13 +14,13 @@ from pydantic import Field
 
 from flipperctl.api import Engine, Settings
 from flipperctl.checkpoint.results import json_result
-from flipperctl.cli.hydra.compose import compose_train, only_one
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.commands.bench import split_arguments
 from flipperctl.commands.speed import Values, finite, load, machine, quantile, table
 from flipperctl.config import TrainConfig, parse, resolver, with_overrides
 from flipperctl.config.words import with_flags
 from flipperctl.errors import ConfigError
+from flipperctl.requests.compose import compose_train, only_one
+from flipperctl.requests.text import from_words
 from flipperctl.sim.planar import Planar
 from flipperctl.terminal.progress import steps_progress
 from flipperctl.terminal.streams import print_note, show
@@ -149,7 +149,7 @@ def run(
     """Run the measures named by the words; print their tables, or one JSON document."""
     measures, typed = split_arguments(words, MEASURES)
     overrides = with_flags(typed, "bench", repeats=repeats)
-    every = Overrides.parse(overrides)
+    every = from_words(overrides)
     own = every.where(lambda key: key.startswith(SECTION)).values()
     others = every.where(lambda key: not key.startswith(SECTION))
     changes = {key.removeprefix(SECTION): value for key, value in own.items()}

@@ -227,7 +227,8 @@ def episode_bound(env: FlipperEnv) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the bound on each terrain."""
-    from flipperctl.cli.plan import scenes
+    from flipperctl.requests.plan import scenes
+    from flipperctl.requests.text import from_words
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.statics")
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as in terrain=ramp,stair")
@@ -236,7 +237,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     plugins.load([])
     words = [f"eval.episodes={chosen.episodes}", f"eval.seed={chosen.seed}", *chosen.overrides]
-    for config, _ in scenes(words, None, "level"):
+    for config, _ in scenes(from_words(words), None, "level"):
         env, bounds = FlipperEnv(config=config.environment()), []
         for seed in EvaluationSeeds.of(config.eval.seed, config.terrain).first(chosen.episodes):
             env.reset(seed=seed)

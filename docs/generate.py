@@ -22,13 +22,13 @@ from sphinx.pycode import ModuleAnalyzer
 from flipperctl.api import ACTIONS, Measure, ObservationLayout, Settings, registry
 from flipperctl.cli.catalogue import PLUGIN_KEYS, SECTIONS
 from flipperctl.cli.glossary import GLOSSARY
-from flipperctl.cli.hydra import compose
 from flipperctl.cli.main import app
 from flipperctl.config import EvalConfig
 from flipperctl.config.describe import Field, fields
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.export.metadata import describe_observation
 from flipperctl.plugging import plugins
+from flipperctl.requests import compose
 
 HEADINGS: Mapping[str, str] = {
     "terrain": "Terrains",

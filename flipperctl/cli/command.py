@@ -206,11 +206,11 @@ def _unknown(
 
 def _settings(key: str, primary: str) -> Iterator[str]:
     """Yield the paths of settings that equal ``key`` or end with it."""
-    from flipperctl.cli.hydra.compose import compose_train, only_one
     from flipperctl.config import EvalConfig
     from flipperctl.config.defaults import CHOICES
     from flipperctl.config.describe import paths_named
     from flipperctl.plugging import plugins
+    from flipperctl.requests.compose import compose_train, only_one
 
     plugins.load()
     config = only_one(compose_train())

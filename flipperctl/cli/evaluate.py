@@ -105,10 +105,11 @@ def evaluate(
 
       flipperctl eval okada terrain=ramp --seed 5 --record okada.safetensors
     """
-    from flipperctl.cli.plan import make_plan
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.evaluate import Result
     from flipperctl.evaluation.plan import controllers, entrants, split_policies
+    from flipperctl.requests.plan import make_plan
+    from flipperctl.requests.text import from_words
     from flipperctl.terminal.progress import EvaluationProgress
     from flipperctl.views import evaluation
     from flipperctl.views.filming import Filming
@@ -122,7 +123,7 @@ def evaluate(
     flagged = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     chosen = evaluation.parse_columns(columns)
     policies, returns = entrants(names, print_note), as_json or "return" in chosen
-    plan = make_plan(flagged, policies, baseline, print_note, returns=returns)
+    plan = make_plan(from_words(flagged), policies, baseline, print_note, returns=returns)
     if record is not None and any(entry.config.eval.ray is not None for entry in plan.entries):
         raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
 

@@ -93,10 +93,10 @@ def terrain(
 
       flipperctl inspect terrain step terrain.height=0.2 --seed 3 --draws 6 --json
     """
-    from flipperctl.cli.hydra.compose import compose_environment
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import resolver
     from flipperctl.figures.terrain import sample
+    from flipperctl.requests.compose import compose_environment
+    from flipperctl.requests.text import from_words
     from flipperctl.terminal.tables import print_terrain
 
     # Settings of an evaluation choose no profiles.
@@ -107,7 +107,7 @@ def terrain(
             )
     resolver.get("terrain", name, "terrain")
     words = [f"terrain={name}", *(overrides or [])]
-    config = compose_environment(Overrides.parse(words))
+    config = compose_environment(from_words(words))
     sampled = sample(config, range(seed, seed + draws))
     rows = [row for _, row in sampled]
     if output is not None:
@@ -157,13 +157,13 @@ def checkpoint(
     source = load_policy(path, takes="file")
     file = source.file
     if check:
-        from flipperctl.cli.hydra.compose import compose_environment, register_robot
-        from flipperctl.cli.hydra.overrides import Overrides
         from flipperctl.config.words import with_engine
+        from flipperctl.requests.compose import compose_environment, register_robot
+        from flipperctl.requests.text import from_words
         from flipperctl.testing.conventions import probe, require_conventions, table
         from flipperctl.text.show import console, print_table
 
-        own, words = source.config(), Overrides.parse(with_engine(list(overrides or [])))
+        own, words = source.config(), from_words(with_engine(list(overrides or [])))
         primary = register_robot(own.robot, own.perception.layout)
         probes = probe(compose_environment(words, primary), source)
         holds = all(measured.holds for measured in probes)
@@ -306,10 +306,10 @@ def config(
     """
     from omegaconf import OmegaConf
 
-    from flipperctl.cli.hydra import compose
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import to_dict
+    from flipperctl.requests import compose
+    from flipperctl.requests.text import from_words
 
-    config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
+    config = compose.only_one(compose.compose_train(from_words(overrides or ())))
     plain = to_dict(config)
     show(plain, lambda: print(OmegaConf.to_yaml(plain).rstrip()), as_json=as_json)

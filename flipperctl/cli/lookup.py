@@ -165,16 +165,16 @@ def _draw(file: Path) -> None:
     """Draw every terrain that needs no file."""
     from flipperctl.api import Robot
     from flipperctl.cli.catalogue import entries
-    from flipperctl.cli.hydra.compose import compose_environment
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.errors import FlipperctlError
     from flipperctl.figures.figure import save
     from flipperctl.figures.terrain import contact_sheet, sample
+    from flipperctl.requests.compose import compose_environment
+    from flipperctl.requests.text import from_words
 
     profiles = {}
     for entry in entries("terrain"):
         try:
-            config = compose_environment(Overrides.parse([f"terrain={entry.name}"]))
+            config = compose_environment(from_words([f"terrain={entry.name}"]))
             profiles[entry.name] = sample(config, [0])[0][0]
         except FlipperctlError as error:
             print_note(f"no picture of {entry.name}: {error}")
@@ -222,8 +222,8 @@ def _settings(keys: Sequence[Key]) -> Iterator[dict[str, Any]]:
     setting of a plugin that it does not use then.
     """
     from flipperctl.cli.catalogue import first_clause, set_by
-    from flipperctl.cli.hydra.compose import compose_train, only_one
     from flipperctl.config.describe import settings
+    from flipperctl.requests.compose import compose_train, only_one
 
     # What a training has by default, beside the plugin's own default
     values = {s.path: s.value for s in settings(only_one(compose_train()))} if keys else {}

@@ -14,8 +14,8 @@ from flipperctl.errors import ConfigError, InterruptedRunError, RequestError
 from flipperctl.terminal.streams import print_note, show
 
 if TYPE_CHECKING:
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.evaluation.rewards import Rewards, RewardScene
+    from flipperctl.requests.request import Requests
 
 _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"
@@ -106,19 +106,19 @@ def _compare(names: Sequence[str], words: Sequence[str], *, as_json: bool) -> No
     Lists of rewards, as in ``rewards=paper,tuned``, give the sets of each scene. The robot is that
     of the files among the policies.
     """
-    from flipperctl.cli.hydra.compose import compose_eval, register_robot
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player
     from flipperctl.evaluation.plan import common_robot, policies
     from flipperctl.evaluation.rewards import rank_policies
+    from flipperctl.requests.compose import compose_eval, register_robot
+    from flipperctl.requests.text import from_words
     from flipperctl.text.show import console, print_lines, print_table
     from flipperctl.views import rewards
 
-    fields, overrides = controller_fields(Overrides.parse(words))
+    fields, requests = controller_fields(from_words(words))
     sources = policies(names, fields, print_note)
-    primary = register_robot(common_robot(sources, overrides.typed))
+    primary = register_robot(common_robot(sources, requests.typed))
     scenes: dict[tuple[str, ...], RewardScene] = {}
-    for combination in overrides.combinations():
+    for combination in requests.combinations():
         scene, label = _split(combination)
         ((config, _),) = compose_eval(combination, primary)
         if not config.rewards:
@@ -143,10 +143,11 @@ def _regret(
 
     The first of the ``names`` is the policy's, the others are those of the references.
     """
-    from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.cli.plan import player, scenes
+    from flipperctl.cli.plan import player
     from flipperctl.evaluation.plan import entrants, policies
     from flipperctl.evaluation.regret import RegretScene, measure
+    from flipperctl.requests.plan import scenes
+    from flipperctl.requests.text import from_words
     from flipperctl.text.show import console, print_lines, print_table
     from flipperctl.views import regret
 
@@ -156,16 +157,16 @@ def _regret(
             "generalist level okada --regret"
         )
     (policy,) = measured
-    overrides, fields = Overrides.parse(words), dict[str, Any]()
+    requests, fields = from_words(words), dict[str, Any]()
     if policy.run is not None:
-        fields, overrides = controller_fields(overrides)
+        fields, requests = controller_fields(requests)
     others = policies(names[1:] or _REFERENCES, fields, print_note)
-    labels = [_split(combination)[1] for combination in overrides.combinations()]
+    labels = [_split(combination)[1] for combination in requests.combinations()]
     default = "own" if policy.run else _DEFAULT
     chosen = [
         RegretScene(config, label or default, names[0], source, others)
         for (config, source), label in zip(
-            scenes(overrides.words, policy.run, policy.controller), labels, strict=True
+            scenes(requests, policy.run, policy.controller), labels, strict=True
         )
     ]
     with player(output, "regret") as (plays, _):
@@ -182,25 +183,25 @@ def _regret(
     show({"scenes": regrets}, printed, as_json=as_json)
 
 
-def _split(combination: Overrides) -> tuple[tuple[str, ...], str]:
+def _split(combination: Requests) -> tuple[tuple[str, ...], str]:
     """Return the overrides of all but the rewards, and a label of those of the rewards."""
     rewards = [word for word in combination.words if _REWARD_KEY.match(word)]
     others = tuple(word for word in combination.words if word not in rewards)
     return others, " ".join(word.removeprefix("rewards=") for word in rewards)
 
 
-def controller_fields(overrides: Overrides) -> tuple[dict[str, Any], Overrides]:
-    """Return the overrides of ``controller.<field>`` by field, and the others.
+def controller_fields(requests: Requests) -> tuple[dict[str, Any], Requests]:
+    """Return the values of ``controller.<field>`` by field, and the others.
 
     Each field applies to the controllers among the policies that have it.
     """
-    from flipperctl.cli.hydra.compose import with_preset
+    from flipperctl.requests.compose import with_preset
 
-    if "controller" in overrides.typed:
+    if "controller" in requests.typed:
         raise RequestError(
             "controller: the policies are named by words, as in level okada; leave the override out"
         )
-    own = overrides.where(lambda key: key.startswith(_FIELD)).values()
-    others = overrides.where(lambda key: not key.startswith(_FIELD))
+    own = requests.where(lambda key: key.startswith(_FIELD)).values()
+    others = requests.where(lambda key: not key.startswith(_FIELD))
     fields = {key.removeprefix(_FIELD): value for key, value in own.items()}
     return with_preset(fields, "controller"), others

@@ -78,13 +78,13 @@ def train(
 
 
 def _resume(run: Path, words: list[str]) -> None:
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.process import session
+    from flipperctl.requests.text import from_words
     from flipperctl.terminal.training import check_resumed, print_best, reports
     from flipperctl.training.run import check_resumable, resume
 
     check_resumable(words)
-    changes = Overrides.parse(words).values()
+    changes = from_words(words).values()
     try:
         print_best(resume(run, changes, reports(), check=check_resumed))
     except KeyboardInterrupt as error:  # outside the episodes, which stop by themselves

@@ -98,9 +98,9 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     A comment follows where no command gives the stored conditions. ``policy`` is the name or path
     that the commands show, ``file`` its checkpoint.
     """
-    from flipperctl.cli.hydra.compose import register_trained
     from flipperctl.evaluation.conditions import read_config
     from flipperctl.policies.source import PolicySource
+    from flipperctl.requests.compose import register_trained
     from flipperctl.views.card import read_document
 
     primary = register_trained(read_config(PolicySource(file), ["flat"], lambda line: None))
@@ -118,10 +118,10 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
 
 def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
     """Return the options and overrides of a scene, and a note if they miss its conditions."""
-    from flipperctl.cli.hydra.compose import compose_eval
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import DEFAULT_ENGINE
     from flipperctl.evaluation.conditions import Conditions
+    from flipperctl.requests.compose import compose_eval
+    from flipperctl.requests.text import from_words
     from flipperctl.views.summary import compared
 
     stored = scene["conditions"]
@@ -135,7 +135,7 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
     words += [f"{kind}={name}" for kind, name in plugins.items() if name != DEFAULT_ENGINE]
 
     def conditions(*changes: str) -> Conditions:
-        every = Overrides.parse([*words, *changes, f"terrain={scene['terrain']}"])
+        every = from_words([*words, *changes, f"terrain={scene['terrain']}"])
         ((config, _),) = compose_eval(every, primary)
         return Conditions.of(config)
 

@@ -50,16 +50,16 @@ def bench(
       flipperctl bench --small --json
     """
     from flipperctl.checkpoint.results import json_result
-    from flipperctl.cli.hydra.compose import compose_train, only_one
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.commands import speed
+    from flipperctl.requests.compose import compose_train, only_one
+    from flipperctl.requests.text import from_words
     from flipperctl.terminal.progress import steps_progress
     from flipperctl.text.show import console, print_table
 
     chosen, overrides = split_arguments(words or (), tuple(speed.MEASURES))
     sizes = speed.SMALL if small else speed.Sizes()
     sizes = sizes if repeats is None else replace(sizes, repeats=repeats)
-    config = only_one(compose_train(Overrides.parse(overrides)))
+    config = only_one(compose_train(from_words(overrides)))
     header = {"machine": speed.machine(), "settings": asdict(sizes), "overrides": overrides}
     document = {**header, "measures": (measures := {})}
     with json_result(output, "bench") as write:

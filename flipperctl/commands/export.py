@@ -94,9 +94,9 @@ def _export_policy(
     checkpoint: Path, words: list[str], output: Path | None, *, as_json: bool
 ) -> None:
     from flipperctl import checkpoint as checkpoints
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.export.policy import FILE, export, robot_fields
     from flipperctl.policies.source import load_policy
+    from flipperctl.requests.text import from_words
     from flipperctl.terminal.tables import print_export
     from flipperctl.text.files import check_output
 
@@ -106,7 +106,7 @@ def _export_policy(
     name = source.label() if shipped else saved.config().terrain.plugin_name
     target = output or Path(f"{name}.onnx")
     check_output(target, FILE)
-    robot = robot_fields(Overrides.parse(words).values())
+    robot = robot_fields(from_words(words).values())
     print_note(f"exporting {saved.path} and comparing it with torch …")
     exported = export(saved, target, robot)
     show(exported, lambda: print_export(target, saved.path, exported), as_json=as_json)

@@ -249,10 +249,11 @@ def drive(
 
 def _configs(words: list[str]) -> list[EvalConfig]:
     """Return the scenes that the words name."""
-    from flipperctl.cli.plan import make_plan
     from flipperctl.evaluation.plan import entrants
+    from flipperctl.requests.plan import make_plan
+    from flipperctl.requests.text import from_words
 
-    plan = make_plan(words, entrants(["level"], print_note), "none", lambda line: None)
+    plan = make_plan(from_words(words), entrants(["level"], print_note), "none", lambda line: None)
     return [entry.config for entry in plan.entries]
 
 
@@ -267,12 +268,13 @@ def _announce(address: str, browser: bool) -> None:
 
 def _entrants(names: list[str], settings: list[str]) -> list[Entrant]:
     """Return each policy on its scene."""
-    from flipperctl.cli.plan import make_plan
     from flipperctl.evaluation.plan import entrants
     from flipperctl.live.lanes import Entrant
+    from flipperctl.requests.plan import make_plan
+    from flipperctl.requests.text import from_words
     from flipperctl.views.summary import short
 
-    plan = make_plan(settings, entrants(names, print_note), "none", lambda line: None)
+    plan = make_plan(from_words(settings), entrants(names, print_note), "none", lambda line: None)
     several = len({entry.terrain for entry in plan.entries}) > 1
     return [
         Entrant(

@@ -61,12 +61,12 @@ def recorded_robot(overrides: Sequence[str] | None) -> tuple[EnvConfig, str | No
 
     ``perception.pose`` is None if it is not among these.
     """
-    from flipperctl.cli.hydra.compose import compose_environment
-    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.requests.compose import compose_environment
+    from flipperctl.requests.text import from_words
 
     words = list(overrides or ())
-    config = compose_environment(Overrides.parse(["perception=lidar", *words]))
-    given = frozenset(Overrides.parse(words).typed)
+    config = compose_environment(from_words(["perception=lidar", *words]))
+    given = frozenset(from_words(words).typed)
     pose = getattr(config.perception, "pose", None) if "perception.pose" in given else None
     return config, pose, given
 
@@ -202,13 +202,13 @@ def ground(
       flipperctl robot ground run.mcap --output ground.xyz --fixed-frame map
     """
     from flipperctl.api import Robot
-    from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.export.policy import robot_fields
+    from flipperctl.requests.text import from_words
     from flipperctl.ros.ground import convert
     from flipperctl.ros.topics import Names
     from flipperctl.terminal.tables import print_ground
 
-    robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "robot ground"))
+    robot = Robot(**robot_fields(from_words(overrides or ()).values(), "robot ground"))
     names = Names(clouds=topic, fixed=fixed_frame, base=base_frame)
     document = convert(source, output, robot, names, reach, cell)
     show(document, lambda: print_ground(document), as_json=as_json)

@@ -72,11 +72,12 @@ def tune(
 
       flipperctl tune hfc from=generalist terrain=stair
     """
-    from flipperctl.cli.plan import make_plan
     from flipperctl.config import policy_file, resolver
     from flipperctl.config.words import key_of, with_flags
     from flipperctl.evaluation import tuning
     from flipperctl.evaluation.plan import NamedPolicy, split_policies
+    from flipperctl.requests.plan import make_plan
+    from flipperctl.requests.text import from_words
     from flipperctl.text.files import check_output, write_bytes
     from flipperctl.text.show import console, print_table
     from flipperctl.views.tune import table
@@ -112,7 +113,7 @@ def tune(
     output = output or Path(f"{Path(name).stem.removesuffix('_tuned')}_tuned.yaml")
     check_output(output, policy_file.POLICY_FILE)
     flagged = with_flags(others, episodes=episodes, seed=seed, jobs=jobs)
-    entries = make_plan(flagged, [NamedPolicy(name)], "none", print_note).entries
+    entries = make_plan(from_words(flagged), [NamedPolicy(name)], "none", print_note).entries
     config = entries[0].config
     if any(entry.source != entries[0].source for entry in entries):
         raise RequestError("controller: one value of each setting is allowed, where it begins")

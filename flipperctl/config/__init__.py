@@ -6,6 +6,7 @@ and ``models`` whole configurations; ``resolver`` builds them from names and ove
 """
 
 from flipperctl.config.identity import identity
+from flipperctl.config.merge import with_overrides
 from flipperctl.config.models import (
     DEFAULT_ENGINE,
     DEFAULT_LEARNER,
@@ -14,7 +15,7 @@ from flipperctl.config.models import (
     EvalConfig,
     TrainConfig,
 )
-from flipperctl.config.resolver import parse, to_dict, with_overrides
+from flipperctl.config.resolver import parse, to_dict
 from flipperctl.config.sampled import Randomise
 from flipperctl.config.sections import (
     Episode,

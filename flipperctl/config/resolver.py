@@ -123,56 +123,6 @@ def parse(model: type[SettingsT], values: Mapping[str, Any], where: str = "") ->
         raise ConfigError(explain(error, where, model)) from error
 
 
-def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT:
-    """Return ``config`` with overrides applied; their keys may be nested or dotted.
-
-    What is chosen by its name, such as an engine or a robot, comes first, whatever the order, as
-    groups do on the command line. The collector that ``config`` has keeps its settings if it is
-    named again.
-
-    A reward term set to None is dropped; an empty mapping of rewards drops all terms.
-    """
-    result = to_dict(config)
-    for key, value in sorted(overrides.items(), key=lambda item: not _is_named(*item)):
-        if key == "rewards" and value == {}:  # it replaces the terms instead of merging into them
-            result[key] = {}
-        elif key == "logger" and not isinstance(value, Mapping):  # names replace all loggers
-            result[key] = loggers_by_name(value)
-        elif key == "collector" and isinstance(value, str):  # a name alone, as in commands
-            if result.get(key, {}).get("name") != value:
-                result[key] = {"name": value}
-        elif key == "robot" and isinstance(value, str):
-            result[key] = to_dict(named_robot(value))
-        else:
-            *parents, leaf = key.split(".")
-            node = result
-            for parent in parents:
-                node = node.setdefault(parent, {})
-                if not isinstance(node, dict):
-                    raise ConfigError(f"{key}: {parent} is a value, not a section; it is {node!r}")
-            _merge(node, leaf, value)
-    if isinstance(rewards := result.get("rewards"), dict):
-        result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
-    return parse(type(config), result)
-
-
-def _is_named(key: str, value: object) -> bool:
-    """Return whether an override replaces a section by another one of a name."""
-    named = isinstance(value, (str, Plugin)) or (isinstance(value, Mapping) and "name" in value)
-    return "." not in key and (named or key in ("collector", "logger"))
-
-
-def _merge(node: dict[str, Any], key: str, value: Any) -> None:
-    old = node.get(key)
-    if isinstance(old, dict) and "name" in old and isinstance(value, str):
-        node[key] = {"name": value}
-    elif isinstance(old, dict) and isinstance(value, Mapping) and "name" not in value:
-        for inner, item in value.items():
-            _merge(old, inner, item)
-    else:  # a copy, since a later override may lie inside it
-        node[key] = dict(value) if isinstance(value, Mapping) else value
-
-
 def to_dict(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
     """Return the plain data from which ``create`` or ``parse`` makes equal settings.
 

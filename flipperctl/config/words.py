@@ -6,18 +6,17 @@ what the parser would not.
 
 from __future__ import annotations
 
-import json
 import re
 import shlex
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import zip_longest
-from pathlib import Path
+from typing import Any
 
-from flipperctl.api.plugin import registered_names
-from flipperctl.config import policy_file
-from flipperctl.config.presets import presets
-from flipperctl.config.resolver import is_robot_file, named_robot
 from flipperctl.errors import ConfigError, RequestError
+
+_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_RESERVED = {"null", "true", "false", "nan", "inf"}
+"""Words that Hydra does not read as text, in any case."""
 
 
 def key_of(word: str) -> str:
@@ -83,9 +82,31 @@ def quoted(text: str) -> str:
 
     Backslashes before a quote or a ``${`` are doubled, also before the last one.
     """
-    text = re.sub(r"(\\*)\$\{", r"\1\1\\${", text)  # OmegaConf would look up what follows
-    escaped = re.sub(r'(\\+)(?="|\Z)', r"\1\1", text).replace('"', r"\"")
-    return f'"{escaped}"'
+    inside = re.sub(r'(\\+)(?="|\Z)', r"\1\1", escaped(text)).replace('"', r"\"")
+    return f'"{inside}"'
+
+
+def escaped(value: Any) -> Any:
+    """Return plain data in whose texts OmegaConf looks up no ``${…}``."""
+    if isinstance(value, str):
+        return re.sub(r"(\\*)\$\{", r"\1\1\\${", value)
+    if isinstance(value, Mapping):
+        return {name: escaped(inner) for name, inner in value.items()}
+    return [escaped(inner) for inner in value] if isinstance(value, list) else value
+
+
+def literal(value: object) -> str:
+    """Return plain data as Hydra reads it, with all digits; a text stands for itself."""
+    if isinstance(value, str):
+        bare = _NAME.fullmatch(value) and value.lower() not in _RESERVED
+        return value if bare else quoted(value)
+    if isinstance(value, list):
+        return f"[{','.join(map(literal, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{{','.join(f'{key}:{literal(inner)}' for key, inner in value.items())}}}"
+    if value is None:
+        return "null"
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def quote_override(key: str, value: str) -> str:
@@ -132,62 +153,3 @@ def with_engine(overrides: list[str]) -> list[str]:
     """Return the overrides with ``sim=mujoco``, unless they choose an engine."""
     chosen = any(override.lstrip("+").startswith("sim=") for override in overrides)
     return list(overrides) if chosen else ["sim=mujoco", *overrides]
-
-
-def expand_files(words: Sequence[str]) -> list[str]:
-    """Return overrides in Hydra's spelling, of ``rewards.calm=calm`` and of files.
-
-    A reward term that no preset has is added. ``robot=FILE`` is replaced by all settings of the
-    file, in place of those of a policy's training too, and so are ``controller=FILE`` and
-    ``teacher=FILE``. One that another word sets is left to that word.
-    """
-    given = set(map(key_of, words))
-    return [found for word in words for found in _expand(word, given)]
-
-
-def _terms() -> frozenset[str]:
-    """Return the reward terms of presets, which a word replaces, and never adds."""
-    texts = (file.read_text("utf-8") for file in presets("rewards").values())
-    return frozenset(name for text in texts for name in re.findall(r"- /reward@(\w+):", text))
-
-
-_CONTROLLERS = {"controller": "controller", "teacher": "teacher.controller"}
-"""Key that names a controller → section of its settings."""
-
-
-def _literal(value: object) -> str:
-    """Return plain data as Hydra reads it, with all digits."""
-    if isinstance(value, str):
-        return quoted(value)
-    if isinstance(value, list):
-        return f"[{','.join(map(_literal, value))}]"
-    if isinstance(value, dict):
-        return f"{{{','.join(f'{key}: {_literal(one)}' for key, one in value.items())}}}"
-    return json.dumps(value)
-
-
-def _expand(word: str, given: Collection[str]) -> Iterator[str]:
-    key, _, value = word.partition("=")
-    name = value.strip().strip("'\"")
-    term = key.removeprefix("rewards.")
-    if key == f"rewards.{term}" and name in registered_names("reward") and term not in _terms():
-        yield f"+reward@{key}={name}"
-        return
-    if key in _CONTROLLERS and policy_file.is_policy_file(name):
-        own = policy_file.settings_of(name, key)
-        yield f"{key}={own.pop('name')}"
-        for field, setting in own.items():
-            if (path := f"{_CONTROLLERS[key]}.{field}") not in given:
-                yield f"{path}={_literal(setting)}"
-        return
-    if key != "robot" or not is_robot_file(name):
-        yield word
-        return
-    if "," in name and not Path(name).exists():
-        raise ConfigError(
-            f"{word}: one file is allowed; lists name robots of the package: "
-            f"{', '.join(presets('robot'))}"
-        )
-    for field, setting in named_robot(name).model_dump(mode="json").items():
-        if f"robot.{field}" not in given:
-            yield f"robot.{field}={'null' if setting is None else repr(setting)}"

@@ -23,7 +23,7 @@ from flipperctl.config import EvalConfig, strict_yaml, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.config.policy_file import drives_in, is_policy_file
 from flipperctl.config.presets import SUFFIX, presets, shipped
-from flipperctl.config.words import check_different, check_words, key_of
+from flipperctl.config.words import check_different, check_words
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.policies.identity import method_settings, without_input_paths
@@ -163,20 +163,6 @@ class SuiteScene:
     words: tuple[str, ...]
     """Overrides, ``key=value``."""
 
-    def name_with(self, words: list[str]) -> str:
-        """Return the name, with those of the user's ``words`` that replace one of the scene's.
-
-        Tables name the terrain by themselves.
-        """
-        typed = {key_of(word): word for word in self.words if key_of(word) != "terrain"}
-        changed = [word for word in words if typed.get(key_of(word), word) != word]
-        return " ".join([f"{self.name},", *changed]) if changed else self.name
-
-    def with_words(self, words: list[str]) -> list[str]:
-        """Return the overrides, of which the user's ``words`` replace those of the same keys."""
-        typed = {key_of(word) for word in words}
-        return [*(word for word in self.words if key_of(word) not in typed), *words]
-
 
 @dataclass(frozen=True)
 class Suite:
@@ -214,15 +200,6 @@ def _scene(where: str, name: str, overrides: object) -> SuiteScene:
     except (ValueError, ConfigError) as error:
         raise ConfigError(f"{where}: scenes.{name}: {error}") from error
     return SuiteScene(name, tuple(words))
-
-
-def split_suite(words: list[str]) -> tuple[Suite | None, list[str]]:
-    """Return the suite that ``suite=NAME`` among the words chooses, and the other words."""
-    chosen = [word for word in words if key_of(word) == "suite" and "=" in word]
-    if len(chosen) > 1:
-        raise ConfigError(f"suite is given twice: {chosen[0]} and {chosen[1]}; one is allowed")
-    suite = find_suite(chosen[0].partition("=")[2]) if chosen else None
-    return suite, [word for word in words if word not in chosen]
 
 
 def refuse_beside(option: str, others: Mapping[str, Any]) -> None:

@@ -12,12 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flipperctl.checkpoint.results import METRICS
-from flipperctl.cli import plot as drawing
-from flipperctl.cli.hydra.compose import compose_train, run_directory
-from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig, TrainConfig
-from flipperctl.config.words import key_of
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -28,6 +23,10 @@ from flipperctl.errors import (
 from flipperctl.evaluation import evaluate as results
 from flipperctl.evaluation.plan import NamedPolicy, controllers, entrants
 from flipperctl.process.session import interrupts
+from flipperctl.requests import drawing
+from flipperctl.requests.compose import compose_train, run_directory
+from flipperctl.requests.plan import make_plan
+from flipperctl.requests.request import RUN_FOLDER, Request, Requests, from_values
 from flipperctl.scripting import progress as shown
 from flipperctl.scripting.policy import Function, LoadedPolicy, function_policy, load
 from flipperctl.scripting.settings import (
@@ -36,7 +35,7 @@ from flipperctl.scripting.settings import (
     check_evaluation,
     check_training,
     public,
-    words,
+    requested,
 )
 from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.training import check_resumed, print_best
@@ -128,7 +127,6 @@ def _value(cell: str) -> float | str | None:
     return cell
 
 
-_FOLDER = "hydra.run.dir"
 _OF_TRAINING = {*TrainConfig.model_fields, "hydra"} - {*EnvConfig.model_fields, "actions", "seed"}
 FLIPPER = "flipperctl.env:flipperctl/Flipper-v0"
 """The environment, for ``gymnasium.make``."""
@@ -165,20 +163,20 @@ def train(
         FlipperctlError: the training failed, such as PluginFailedError.
     """
     begin(plugins)
-    typed = words(settings, overrides)
+    requests = requested(settings, overrides)
     reports = shown.training_reports(progress)
     if resume is not None:
         run = Path(resume)
         if directory is not None:
             raise ConfigError("directory: a resumed run stays in its own; leave it out")
-        check_resumable(typed)
-        changes = Overrides.parse(typed).values()
+        check_resumable(request.text for request in requests)
+        changes = requests.values()
         finished = _interruptible(
             lambda: resume_run(run, changes, reports, check=check_resumed), [run], plugins
         )
     else:
-        config, folder = _composed(typed, directory)
-        unnamed = directory is None and _FOLDER not in map(key_of, typed)
+        config, folder = _composed(requests, directory)
+        unnamed = directory is None and RUN_FOLDER not in requests.typed
         places = [folder]
         finished = _interruptible(
             lambda: start(config, folder, reports, keep_more=places.append, numbered=unnamed),
@@ -211,38 +209,39 @@ def environment(
     import gymnasium
 
     begin(plugins)
-    every = Overrides.parse(words(settings, overrides))
-    for key in every.swept:
+    requests = requested(settings, overrides)
+    for key in requests.swept:
         raise ConfigError(f"{key}: several values make several environments; one is allowed")
-    for key in every.typed:
+    for key in requests.typed:
         if (section := key.split(".")[0]) in _OF_TRAINING:
             raise ConfigError(f"{key}: {section} belongs to a training, and has no meaning here")
-    (config,) = compose_train(every)
+    (config,) = compose_train(requests)
     options: dict[str, Any] = {"config": config.environment(), "actions": config.actions}
-    if "seed" in every.typed:
+    if "seed" in requests.typed:
         options["seed"] = config.seed
     return gymnasium.make(FLIPPER, **options, render_mode=render_mode)
 
 
 def _composed(
-    typed: list[str], directory: str | os.PathLike[str] | None
+    requests: Requests, directory: str | os.PathLike[str] | None
 ) -> tuple[TrainConfig, Path]:
     """Return the checked configuration and the run directory."""
-    folder = {} if directory is None else {_FOLDER: os.fspath(directory)}
-    every = Overrides.parse([*typed, *words(folder)])
-    for key in every.swept:
+    if directory is not None:
+        requests = Requests.of(requests, [Request(RUN_FOLDER, os.fspath(directory))])
+    for key in requests.swept:
         raise ConfigError(f"{key}: several values make several runs; call train once for each")
-    for key in every.where(lambda key: key.startswith("hydra") and key != _FOLDER).typed:
+    for key in requests.where(lambda key: key.startswith("hydra") and key != RUN_FOLDER).typed:
         raise ConfigError(f"{key}: a training from Python has no such setting")
-    every.check_training(several=False)
+    requests.check_training(several=False)
     # pymunk would swallow a KeyboardInterrupt that is raised while it frees a body.
     with interrupts("stopping …") as stop:
-        (config,) = compose_train(every.where(lambda key: key != _FOLDER))
+        (config,) = compose_train(requests.where(lambda key: key != RUN_FOLDER))
         check_training(config)
         check(config)
     if stop():
         raise KeyboardInterrupt
-    return config, run_directory(every).absolute()
+    folder = run_directory(requests) if directory is None else Path(directory)
+    return config, folder.absolute()
 
 
 def _interruptible(work: Callable[[], Finished], runs: list[Path], plugins: Paths) -> Finished:
@@ -389,14 +388,13 @@ def evaluate(
             )
         else:
             found |= dict.fromkeys(entrants([os.fspath(one)], tell))
-    suite = settings.pop("suite", None)
+    suite = settings.get("suite")
     if not isinstance(suite, str | os.PathLike | None):
         raise RequestError(f"suite: a name or a file is allowed; the value is {suite!r}")
     numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
     chosen = settings | {key: number for key, number in numbers.items() if number is not None}
-    typed = [] if suite is None else [f"suite={os.fspath(suite)}"]
-    typed += [*words(own), *words(chosen, overrides)]
-    plan = make_plan(typed, list(found), _names("baselines", baselines), tell)
+    requests = Requests.of(from_values(own), requested(chosen, overrides))
+    plan = make_plan(requests, list(found), _names("baselines", baselines), tell)
     for entry in plan.rows:
         check_evaluation(entry.config, entry.config.eval.jobs, entry.source.controller_name)
     files = {"folder": output, "record": record}

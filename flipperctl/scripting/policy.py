@@ -30,7 +30,6 @@ from flipperctl.api import (
     is_plugin_name,
     registry,
 )
-from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig
 from flipperctl.config.policy_file import is_policy_file
 from flipperctl.core.targets import Action
@@ -38,6 +37,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PolicyError, RequestError
 from flipperctl.evaluation.conditions import read_config
 from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
+from flipperctl.requests.compose import with_preset
 from flipperctl.scripting.settings import Paths, begin, deciding, public
 from flipperctl.terminal.streams import print_note
 

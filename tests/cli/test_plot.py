@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 import flipperctl
 from flipperctl.api import RobotGeometry
-from flipperctl.cli.plot import draw, length
 from flipperctl.errors import RequestError
 from flipperctl.figures.episode import poses_figure
+from flipperctl.requests.drawing import draw, length
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import write as write_traces
 from flipperctl.views.plot import Request

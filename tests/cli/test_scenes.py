@@ -8,24 +8,24 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.cli.hydra.compose import compose_train
-from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.plan import make_plan, scenes
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.config.presets import shipped
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite
 from flipperctl.plugging import plugins
+from flipperctl.requests.compose import compose_train
+from flipperctl.requests.plan import make_plan, scenes
+from flipperctl.requests.text import from_words
 from tests.cli.call import call, refused
 
 GENERALIST = Path("generalist")
 
 
 def test_the_default_is_nominal_for_both() -> None:
-    ((policy, _),) = scenes(["terrain=step"], GENERALIST, None)
+    ((policy, _),) = scenes(from_words(["terrain=step"]), GENERALIST, None)
     layout = f"perception.highest={str(policy.perception.highest).lower()}"
-    ((rule, _),) = scenes(["terrain=step", layout], None, "okada")
+    ((rule, _),) = scenes(from_words(["terrain=step", layout]), None, "okada")
     assert policy.conditions == rule.conditions == "nominal"
     for section in ("terrain", "robot", "sim", "perception", "episode", "randomise"):
         assert getattr(policy, section) == getattr(rule, section)
@@ -33,17 +33,17 @@ def test_the_default_is_nominal_for_both() -> None:
 
 
 def test_an_override_over_the_conditions_without_effect_is_refused(tmp_path: Path) -> None:
-    ((config, _),) = scenes(["conditions=varied", "sim.gravity=3.7"], None, "okada")
+    ((config, _),) = scenes(from_words(["conditions=varied", "sim.gravity=3.7"]), None, "okada")
     assert (config.sim.gravity, config.episode.start_noise) == (3.7, 0.1)
     noise = ["conditions=varied", "perception.noise=0.05"]
     error = refused("eval", "okada", *noise, cwd=tmp_path)
     assert "perception.noise=0.05: it has no effect, since randomise.noise=[0,0.01]" in error
-    ((config, _),) = scenes([*noise, "randomise.noise=null"], None, "okada")
+    ((config, _),) = scenes(from_words([*noise, "randomise.noise=null"]), None, "okada")
     assert (config.perception.noise, config.randomise.noise) == (0.05, None)
-    ((config, _),) = scenes([*noise, "randomise.spread=[0,1]"], None, "okada")
+    ((config, _),) = scenes(from_words([*noise, "randomise.spread=[0,1]"]), None, "okada")
     assert config.perception.noise == 0.05  # samples lie around it
     robot = ["robot.chassis_mass=24", "randomise.chassis_mass=[21,27]"]
-    (trained,) = compose_train(Overrides.parse(robot))
+    (trained,) = compose_train(from_words(robot))
     assert trained.robot.chassis_mass == 24  # which the exported policy assumes
     words = ["train", "terrain=flat", "sim.friction=0.4", "randomise.friction=[0.9,1.2]"]
     error = refused(*words, cwd=tmp_path)
@@ -67,16 +67,16 @@ def test_the_table_says_those_that_are_not_the_default_in_a_line(tmp_path: Path)
 def test_a_policy_says_which_settings_of_its_training_it_is_evaluated_without(
     short_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scenes(["terrain=step"], short_run, None)
+    scenes(from_words(["terrain=step"]), short_run, None)
     assert capsys.readouterr().err == ""  # it was trained under nominal conditions
-    scenes(["terrain=step,flat"], GENERALIST, None)
+    scenes(from_words(["terrain=step,flat"]), GENERALIST, None)
     line = capsys.readouterr().err
     assert line.count("\n") == 1  # once for both scenes
     assert (found := re.search(r"generalist: nominal.* others \((\d+) settings; cond", line))
     for chosen in ("conditions=trained", "conditions=widest"):
-        scenes(["terrain=step", chosen], GENERALIST, None)
+        scenes(from_words(["terrain=step", chosen]), GENERALIST, None)
         assert capsys.readouterr().err == ""
-    scenes(["terrain=step", "episode.start_noise=0.1"], GENERALIST, None)
+    scenes(from_words(["terrain=step", "episode.start_noise=0.1"]), GENERALIST, None)
     assert f"({int(found[1]) - 1} settings;" in capsys.readouterr().err  # one was chosen
 
 
@@ -84,7 +84,7 @@ _GROUPS = "terrain", "sim", "perception", "conditions"
 
 
 def composed(name: str, *words: str) -> Plan:
-    return make_plan([f"suite={name}", *words], [NamedPolicy("okada")], "level", print)
+    return make_plan(from_words([f"suite={name}", *words]), [NamedPolicy("okada")], "level", print)
 
 
 def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> None:
@@ -94,7 +94,7 @@ def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> Non
     for name in shipped("suite"):
         hashes = []
         for scene in find_suite(name).scenes:
-            for chosen in Overrides.parse(scene.words).combinations():
+            for chosen in from_words(scene.words).combinations():
                 groups = {key: chosen.choice(key) for key in _GROUPS}
                 plain = {k: v for k, v in chosen.values().items() if k not in groups}
                 named = {key: choice for key, choice in groups.items() if choice}
@@ -147,9 +147,10 @@ def test_a_file_that_is_no_suite_is_refused(tmp_path: Path, text: str, expected:
 
 def test_a_scene_whose_words_are_replaced_says_so() -> None:
     """Otherwise "100 repeats" has the two episodes that were asked for."""
-    scene = next(s for s in find_suite("paper").scenes if s.name == "100 repeats")
-    assert scene.name_with(["terrain=flat", "seed=3", "eval.episodes=100"]) == "100 repeats"
-    assert scene.name_with(["eval.episodes=2"]) == "100 repeats, eval.episodes=2"
+    scenes = {entry.scene for entry in composed("paper", "terrain=flat").entries}
+    assert "100 repeats" in scenes
+    scenes = {entry.scene for entry in composed("paper", "eval.episodes=2").entries}
+    assert {"5 repeats, eval.episodes=2", "100 repeats, eval.episodes=2"} <= scenes
 
 
 def test_files_of_results_name_the_suites_scenes(tmp_path: Path) -> None:

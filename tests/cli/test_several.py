@@ -11,11 +11,12 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Policy
-from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.plan import Plan, _swept, entrants
 from flipperctl.policies.source import PolicySource
+from flipperctl.requests.plan import make_plan
+from flipperctl.requests.text import from_words
 from tests.cli.call import Done, call
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
@@ -123,7 +124,7 @@ def planned(
     """Return the plan of several policies, and what is told."""
     told: list[str] = []
     policies = entrants([names], told.append)
-    plan = make_plan(list(words), policies, baseline, told.append, returns=returns)
+    plan = make_plan(from_words(list(words)), policies, baseline, told.append, returns=returns)
     return plan, "\n".join(told)
 
 
@@ -231,7 +232,7 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(sweep: Path) -> None
         "sweep/1_seed=9 is not trained to its end; it counts like the others",
         "sweep/2_seed=1 is left out",
     ]
-    plan = make_plan(["terrain=flat"], found[:2], "none", print)
+    plan = make_plan(from_words(["terrain=flat"]), found[:2], "none", print)
     assert [entry.named for entry in plan.entries] == ["sweep, seed 4", "sweep, seed 9"]
     assert plan.entries[1].names == {"method": "sweep", "training_seed": 9}
     flat = ("terrain=flat", "terrain.length=0.2", "--episodes", "1", "--output", "out")

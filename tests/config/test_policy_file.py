@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.cli.hydra.compose import compose_train, only_one
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import policy_file
 from flipperctl.config.policy_file import PolicyFile, Score, Tuning
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.source import load_policy
+from flipperctl.requests.compose import compose_train, only_one
+from flipperctl.requests.text import from_words
 
 FOUND = PolicyFile(
     controller="okada",
@@ -43,7 +43,7 @@ def test_a_file_reads_back_and_is_a_policy_of_its_name(tmp_path: Path) -> None:
 def test_a_file_teaches(tmp_path: Path) -> None:
     (file := tmp_path / "mine.yaml").write_text(FOUND.text())
     words = [f"teacher={file}", "teacher.controller.far=0.9"]
-    teacher = only_one(compose_train(Overrides.parse(words))).teacher.controller
+    teacher = only_one(compose_train(from_words(words))).teacher.controller
     assert (teacher.plugin_name, teacher.near, teacher.far) == ("okada", 0.12345678, 0.9)
 
 

@@ -7,16 +7,15 @@ import pytest
 import yaml
 
 from flipperctl.api import Robot
-from flipperctl.cli.hydra.compose import compose_environment, register_robot
-from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig
 from flipperctl.config.defaults import notes_on_robot
 from flipperctl.config.presets import presets
 from flipperctl.config.resolver import named_robot
-from flipperctl.config.words import expand_files
 from flipperctl.errors import ConfigError
 from flipperctl.export.policy import robot_fields
+from flipperctl.requests.compose import compose_environment, register_robot
+from flipperctl.requests.plan import scenes
+from flipperctl.requests.text import from_words
 from tests.cli.call import call, refused
 
 PRESETS = Path(__file__).parents[2] / "configs/robot"
@@ -37,7 +36,7 @@ def test_a_preset_states_every_setting(name):
 def test_a_file_becomes_settings_that_other_words_win_over(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("chassis_length: 0.7\ntrack_speed: 0.3\n")
-    words = expand_files([f"robot={file}", "terrain=step", "robot.track_speed=0.1"])
+    words = from_words([f"robot={file}", "terrain=step", "robot.track_speed=0.1"]).words
     assert "robot.chassis_length=0.7" in words
     assert "robot.control_period=null" in words
     assert "robot.flipper_length=0.536" in words
@@ -61,14 +60,14 @@ def test_an_error_names_the_file_the_key_and_what_is_allowed(tmp_path, text, err
     file = tmp_path / "mine.yaml"
     file.write_text(text)
     with pytest.raises(ConfigError, match=error):
-        expand_files([f"robot={file}"])
+        from_words([f"robot={file}"]).words  # noqa: B018
 
 
 def test_unknown_robots_and_lists_of_files_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"absent.yaml cannot be read: No such file"):
-        expand_files(["robot=absent.yaml"])
+        from_words(["robot=absent.yaml"]).words  # noqa: B018
     with pytest.raises(ConfigError, match="one file is allowed"):
-        expand_files(["robot=a.yaml,b.yaml"])
+        from_words(["robot=a.yaml,b.yaml"]).words  # noqa: B018
     with pytest.raises(ConfigError, match="did you mean 'absolem'"):
         named_robot("absolen")
     assert "known: absolem, nubot" in refused("inspect", "config", "robot=absolen", cwd=tmp_path)
@@ -81,7 +80,9 @@ def test_a_policy_is_evaluated_and_exported_for_another_robot(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("chassis_length: 0.7\n")
     for name in ("absolem", str(file)):
-        ((config, _),) = scenes([f"robot={name}", "terrain=flat"], Path("generalist"), None)
+        ((config, _),) = scenes(
+            from_words([f"robot={name}", "terrain=flat"]), Path("generalist"), None
+        )
         assert config.robot == named_robot(name)
         assert Robot(**robot_fields({"robot": name})) == named_robot(name)
     fields = robot_fields({"robot": "absolem", "robot.track_speed": 0.1})
@@ -90,8 +91,8 @@ def test_a_policy_is_evaluated_and_exported_for_another_robot(tmp_path):
 
 def test_a_name_wins_over_the_robot_of_compared_files():
     primary = register_robot(Robot(chassis_length=0.8))
-    assert compose_environment(Overrides.parse([]), primary).robot.chassis_length == 0.8
-    words = Overrides.parse(["robot=absolem", "robot.track_speed=0.3"])
+    assert compose_environment(from_words([]), primary).robot.chassis_length == 0.8
+    words = from_words(["robot=absolem", "robot.track_speed=0.3"])
     changed = named_robot("absolem").model_copy(update={"track_speed": 0.3})
     assert compose_environment(words, primary).robot == changed
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from flipperctl.api import GroundSensor, Profile, RobotState, Sensor, sensor
-from flipperctl.cli.plan import make_plan, scenes
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.evaluation.engines import explained, steps
 from flipperctl.evaluation.evaluate import evaluate
@@ -20,6 +19,8 @@ from flipperctl.evaluation.failure_causes import (
 )
 from flipperctl.evaluation.plan import Entry, NamedPolicy, Plan
 from flipperctl.policies.source import load_policy
+from flipperctl.requests.plan import make_plan, scenes
+from flipperctl.requests.text import from_words
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
 from flipperctl.views import engines, evaluation
 from tests.evaluation.samples import sample
@@ -56,7 +57,7 @@ def _mapper(registry: dict[Any, Any]) -> None:
 
 
 def asked(*words: str) -> list[Any]:
-    return scenes([*HIGH, *words], None, "okada_published")
+    return scenes(from_words([*HIGH, *words]), None, "okada_published")
 
 
 def test_a_failure_is_due_to_drift_or_perception_by_what_reaches_instead() -> None:
@@ -100,7 +101,7 @@ def test_eval_tells_failures_apart_by_cause(blind: str, cause: str) -> None:
 
 def test_engines_have_a_third_step_with_the_sensor() -> None:
     words = [*HIGH[:-1], "eval.episodes=1", "perception=mapper", "sim=planar,mujoco"]
-    plan = make_plan(words, [NamedPolicy("okada_published")], "none", lambda text: None)
+    plan = make_plan(from_words(words), [NamedPolicy("okada_published")], "none", lambda text: None)
     (found,) = evaluation.document(explained(evaluate(plan)))["engines"]
     assert found["planar"]["success_rate"] == found["mujoco"]["success_rate"] == 1.0
     sensed = found["sensed"]

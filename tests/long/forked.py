@@ -44,9 +44,9 @@ def preload() -> None:
     import torch
     from torch.utils.tensorboard import SummaryWriter  # noqa: F401
 
-    import flipperctl.cli.hydra.compose
     import flipperctl.cli.hydra.sweeps
     import flipperctl.cli.main
+    import flipperctl.requests.compose
     import flipperctl.training.run  # noqa: F401
     from flipperctl.env.flipper_env import FlipperEnv
     from flipperctl.plugging import plugins

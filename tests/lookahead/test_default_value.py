@@ -7,9 +7,6 @@ from typing import Any
 import pytest
 
 import flipperctl
-from flipperctl.cli.hydra import compose
-from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation import plan
@@ -17,6 +14,9 @@ from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
 from flipperctl.lookahead.settings import HAND_SET
 from flipperctl.policies.source import PolicySource, learned_value, with_files
+from flipperctl.requests import compose
+from flipperctl.requests.plan import scenes
+from flipperctl.requests.text import from_words
 from tests.short import short_config, trainer
 
 FLAT = EnvConfig(terrain="flat")
@@ -31,12 +31,12 @@ def built(settings: Any, config: EnvConfig = FLAT) -> type[object]:
 
 
 def composed(*words: str) -> dict[str, Any]:
-    ((_, settings),) = compose.compose_eval(Overrides.parse(["controller=mpc", *words]))
+    ((_, settings),) = compose.compose_eval(from_words(["controller=mpc", *words]))
     return settings
 
 
 def taught(*words: str) -> dict[str, Any]:
-    (config,) = compose.compose_train(Overrides.parse(list(words)))
+    (config,) = compose.compose_train(from_words(list(words)))
     return to_dict(config)["teacher"]["controller"]
 
 
@@ -123,7 +123,7 @@ def test_one_line_says_that_the_value_is_not_used(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     words = ["terrain=flat,step", "robot.flipper_length=0.45"]
-    scenes(words, None, "mpc")
+    scenes(from_words(words), None, "mpc")
     env = FlipperEnv("flat", **SMALLER)
     env.reset(seed=1)
     loaded = flipperctl.load("mpc", beam=1, horizon=1)
@@ -134,6 +134,6 @@ def test_one_line_says_that_the_value_is_not_used(
     (of_teacher,) = run._early_notes or ()
     assert len(re.findall(NOTE, of_eval_and_python)) == 2
     assert re.match(NOTE, of_teacher.removeprefix("teacher."))
-    scenes([*words, "controller.value=mpc_value"], None, "mpc")
-    scenes(words, None, "okada")
+    scenes(from_words([*words, "controller.value=mpc_value"]), None, "mpc")
+    scenes(from_words(words), None, "okada")
     assert not capsys.readouterr().err

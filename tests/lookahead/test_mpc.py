@@ -21,13 +21,14 @@ from flipperctl.api import (
     Transition,
     controller,
 )
-from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead import Mpc, mpc
 from flipperctl.policies.source import PolicySource, learned_value
 from flipperctl.policies.trained import policy_module
+from flipperctl.requests.plan import scenes
+from flipperctl.requests.text import from_words
 from flipperctl.rollout.episode import decisions, play
 from tests.short import short_config, trainer
 
@@ -78,7 +79,7 @@ def test_a_time_limit_ends_the_search_and_not_the_drive() -> None:
 @pytest.mark.long
 def test_the_longer_it_stands_the_wider_it_searches() -> None:
     """Perceived with noise, this trench holds it for good without that."""
-    ((config, _),) = scenes(["terrain=gap", "conditions=varied"], None, "mpc")
+    ((config, _),) = scenes(from_words(["terrain=gap", "conditions=varied"]), None, "mpc")
     env = FlipperEnv(config=config.environment())
     assert play(env, built("mpc"), seed=2923855607)["outcome"] == Outcome.REACHED
 

@@ -13,13 +13,13 @@ from pydantic import Field
 from flipperctl import api
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.catalogue import entries
-from flipperctl.cli.hydra.compose import compose_environment, compose_train, only_one
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import resolver
 from flipperctl.config.identity import foreign_sources
 from flipperctl.errors import ConfigError, PluginError
 from flipperctl.evaluation.plan import find_suite
 from flipperctl.plugging import plugins
+from flipperctl.requests.compose import compose_environment, compose_train, only_one
+from flipperctl.requests.text import from_words
 
 pytestmark = pytest.mark.usefixtures("registry")
 
@@ -295,11 +295,11 @@ def test_presets_beside_a_plugin_are_found_by_one_rule(tmp_path: Path) -> None:
         (tmp_path / name).parent.mkdir()
         (tmp_path / f"{name}.yaml").write_text(text)
     plugins.load([file])
-    config = only_one(compose_train(Overrides.parse(["experiment=ridge_fast"])))
+    config = only_one(compose_train(from_words(["experiment=ridge_fast"])))
     assert (config.terrain.plugin_name, config.seed, list(config.rewards)) == ("ridge", 7, ["end"])
     assert config.robot.chassis_length == resolver.named_robot("short").chassis_length == 0.4
     words = ["terrain=ridge", "conditions=slippery", "robot=short", "rewards=calm"]
-    evaluated = compose_environment(Overrides.parse(words))
+    evaluated = compose_environment(from_words(words))
     assert (evaluated.sim.friction, evaluated.robot.chassis_length) == (0.5, 0.4)
     assert find_suite("ridges").scenes[0].words == ("terrain=ridge",)
     for name in presets:
@@ -307,4 +307,4 @@ def test_presets_beside_a_plugin_are_found_by_one_rule(tmp_path: Path) -> None:
         assert own in {entry.name for entry in entries(group)}
     (tmp_path / "robot" / "short.yaml").rename(tmp_path / "robot" / "nubot.yaml")
     with pytest.raises(ConfigError, match=r"robot: .*nubot\.yaml have the same name; rename one"):
-        compose_environment(Overrides.parse(["terrain=ridge"]))
+        compose_environment(from_words(["terrain=ridge"]))

@@ -17,13 +17,14 @@ import pytest
 from pydantic import Field
 
 from flipperctl.api import Measure, Profile, Robot, RobotState, Transition, action_index, measure
-from flipperctl.cli.plan import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.plugging import plugins
+from flipperctl.requests.plan import scenes
+from flipperctl.requests.text import from_words
 from flipperctl.rollout.episode import play
 from flipperctl.training.listeners import columns
 from flipperctl.views.evaluation import csv_rows, document
@@ -185,7 +186,7 @@ def test_a_constant_error_of_the_heights_is_the_map_error() -> None:
 
 def test_only_evaluations_of_mapping_sensors_have_them() -> None:
     words = ["terrain=flat", "terrain.length=0.5", "eval.episodes=1"]
-    chosen = scenes([*words, "perception=planar,lidar"], None, "level")
+    chosen = scenes(from_words([*words, "perception=planar,lidar"]), None, "level")
     found = document(evaluate(Plan.of_one([Entry(*scene) for scene in chosen])))
     planar, lidar = found["scenes"]
     assert not MAPPING & planar.keys()

@@ -12,8 +12,6 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.api import Robot
-from flipperctl.cli.hydra import compose
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
@@ -28,6 +26,8 @@ from flipperctl.policies.source import (
     load_policy,
 )
 from flipperctl.policies.trained import value_of
+from flipperctl.requests import compose
+from flipperctl.requests.text import from_words
 from flipperctl.rollout.episode import decisions
 from tests.played import play_episodes
 from tests.short import short_config
@@ -190,7 +190,7 @@ def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_f
     saved = checkpoint.read(load_policy(name).file)
     assert saved.path == path
     compose.register_defaults()
-    (experiment,) = compose.compose_train(Overrides.parse(command(path, saved.config())))
+    (experiment,) = compose.compose_train(from_words(command(path, saved.config())))
     trained, wanted = to_dict(saved.config()), to_dict(experiment)
     if name != "generalist":
         wanted["terrain"] = without_newer(wanted["terrain"])

@@ -7,11 +7,12 @@ import pytest
 from flipperctl_plugins.terrains.stairs import Stair
 
 from flipperctl.api import Profile, Terrain
-from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, identity
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.rows import sampled
 from flipperctl.policies.source import PolicySource
+from flipperctl.requests.plan import scenes
+from flipperctl.requests.text import from_words
 from flipperctl.rollout.episode import EvaluationSeeds, training_seed, validation_seed
 from tests.played import play_episodes
 
@@ -29,7 +30,7 @@ def recorded(path: str) -> dict[str, str]:
 
 def test_episodes_of_several_families_sample_frictions_of_their_own() -> None:
     frictions = set()
-    for config, _ in scenes([f"terrain={FAMILIES}", "conditions=wide"], None, "level"):
+    for config, _ in scenes(from_words([f"terrain={FAMILIES}", "conditions=wide"]), None, "level"):
         env = FlipperEnv(config=config.environment())
         for seed in EvaluationSeeds.of(0, config.terrain).first(20):
             env.reset(seed=seed)
@@ -38,7 +39,7 @@ def test_episodes_of_several_families_sample_frictions_of_their_own() -> None:
 
 
 def test_two_policies_meet_the_same_ground_start_and_physics() -> None:
-    ((config, _),) = scenes(["terrain=step", "conditions=wide"], None, "level")
+    ((config, _),) = scenes(from_words(["terrain=step", "conditions=wide"]), None, "level")
     ours, theirs = (
         play_episodes(config, PolicySource(settings={"name": name}), episodes=2, seed=3)
         for name in ("level", "okada")
@@ -52,7 +53,7 @@ def test_the_ground_is_the_same_under_all_conditions_and_in_all_engines() -> Non
     chosen = (["conditions=nominal"], ["conditions=varied"], ["conditions=wide"], ["sim=mujoco"])
     grounds = []
     for overrides in (*chosen, ["sim.friction=0.7"]):
-        ((config, _),) = scenes(["terrain=ramp", *overrides], None, "level")
+        ((config, _),) = scenes(from_words(["terrain=ramp", *overrides]), None, "level")
         env = FlipperEnv(config=config.environment())
         env.reset(seed=EvaluationSeeds.of(5, config.terrain)(7))
         grounds.append(env.profile.points.tolist())

@@ -18,8 +18,6 @@ import torch
 
 import flipperctl
 from flipperctl import api
-from flipperctl.cli.hydra.compose import compose_train
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.errors import (
     CheckpointError,
@@ -35,11 +33,12 @@ from flipperctl.errors import (
 )
 from flipperctl.evaluation import stored
 from flipperctl.policies.source import PolicySource
+from flipperctl.requests.compose import compose_train
 from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.scripting import interface
 from flipperctl.scripting import progress as notebook
-from flipperctl.scripting.settings import words
+from flipperctl.scripting.settings import requested
 from flipperctl.views.run import episode_rows
 from tests.cli.call import call
 from tests.test_documentation import example
@@ -230,7 +229,7 @@ def test_a_function_of_the_observation_is_a_policy_of_its_name(tmp_path: Path) -
 
 def test_the_environment_is_that_of_a_training() -> None:
     given = {"terrain": "ramp", "conditions": "wide", "episode": {"slack": 2}}
-    (config,) = compose_train(Overrides.parse(words(given)))
+    (config,) = compose_train(requested(given, ()))
     assert flipperctl.environment(**given).unwrapped.config == config.environment()
     paper = flipperctl.environment(rewards="paper", render_mode="rgb_array")
     assert list(paper.unwrapped.config.rewards) == ["flipper", "pitch", "end"]

@@ -16,12 +16,12 @@ from flipperctl.api import (
     Simulator,
     StateGroups,
 )
-from flipperctl.cli.hydra import compose
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError, PluginFailedError
 from flipperctl.learners.d3qn_run import DoubleQLearning
 from flipperctl.lookahead.value_iteration import SIZE
+from flipperctl.requests import compose
+from flipperctl.requests.text import from_words
 from tests.short import short_config, trainer
 from tests.training.conftest import require_resumes
 
@@ -55,7 +55,7 @@ def tiny(decisions: int, mode: str = "exact") -> TrainConfig:
     """Return the configuration of the experiment ``searched`` with a small budget."""
     compose.register_defaults()
     more = [f"train.decisions={decisions}", f"train.mode={mode}", "train.workers=2"]
-    (config,) = compose.compose_train(Overrides.parse([*TINY, *more]))
+    (config,) = compose.compose_train(from_words([*TINY, *more]))
     return config
 
 

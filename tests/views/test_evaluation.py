@@ -23,7 +23,6 @@ from typing import Any
 
 import pytest
 
-from flipperctl.cli.plan import scenes
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.evaluate import Played, Result
@@ -31,6 +30,8 @@ from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import Row, arranged
 from flipperctl.evaluation.statistics import Interval
 from flipperctl.policies.source import PolicySource
+from flipperctl.requests.plan import scenes
+from flipperctl.requests.text import from_words
 from flipperctl.text.files import write_csv
 from flipperctl.text.show import interval_text, latex
 from flipperctl.views import evaluation
@@ -170,7 +171,7 @@ ROWS = episodes([sample(i, "reached", v, t_cost=27.5) for i, v in enumerate((1.0
 
 
 def beside_published(*words: str) -> list[Any]:
-    entries = [Entry(*scene) for scene in scenes(words, None, "okada")]
+    entries = [Entry(*scene) for scene in scenes(from_words(words), None, "okada")]
     played = tuple(Played(entry, ROWS) for entry in entries)
     found = published(evaluation.document(Result(Plan(tuple(entries)), played)))
     return [] if found is None else found.texts()

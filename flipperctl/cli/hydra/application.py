@@ -23,21 +23,21 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf, read_write
 
 from flipperctl.checkpoint import results
-from flipperctl.cli.hydra.compose import (
+from flipperctl.cli.hydra.sweeps import named_by_time, register_sweepers
+from flipperctl.errors import ConfigError, InterruptedRunError
+from flipperctl.process import session
+from flipperctl.process.session import interrupts
+from flipperctl.requests.compose import (
     CONFIGS,
     check_training_effect,
     compose_train,
     parse_training,
     preset_folders,
     register_defaults,
-    register_sweepers,
 )
-from flipperctl.cli.hydra.errors import convert_hydra_errors
-from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
-from flipperctl.cli.hydra.sweeps import named_by_time
-from flipperctl.errors import ConfigError, InterruptedRunError
-from flipperctl.process import session
-from flipperctl.process.session import interrupts
+from flipperctl.requests.errors import convert_hydra_errors
+from flipperctl.requests.request import SEARCH_PATH, Requests
+from flipperctl.requests.text import from_words
 from flipperctl.rollout.cluster import shut_down
 from flipperctl.rollout.statement import Statement
 from flipperctl.terminal.streams import print_note, print_notices
@@ -85,16 +85,16 @@ def train(arguments: list[str], *, check: bool) -> None:
     register_defaults()
     register_sweepers()
     chosen = vars(_Options().parse_intermixed_args(arguments))  # options may stand between words
-    overrides = Overrides.parse(chosen["overrides"])
-    several = _several(chosen, overrides)
+    requests = from_words(chosen["overrides"])
+    several = _several(chosen, requests)
     options = [(_typed(name), value) for name in _VALUED if (value := chosen[name])]
     # They may add other configuration files; then each job checks its own.
     checked = check and not options
-    overrides.check_training(several=several or bool(options))
+    requests.check_training(several=several or bool(options))
     if checked:
-        _check(overrides)
+        _check(requests)
     flags = [_typed(name) for name in _FLAGS if chosen[name]]
-    words = [*(word for option in options for word in option), *flags, *overrides.words]
+    words = [*(word for option in options for word in option), *flags, *requests.words]
     errors: list[BaseException] = []
     job = _Job(_CommandProcess.current(), checked)
 
@@ -149,23 +149,23 @@ def _show(application: Callable[[], object]) -> None:
     sys.stderr.write(said.getvalue())
 
 
-def _several(chosen: Mapping[str, Any], overrides: Overrides) -> bool:
+def _several(chosen: Mapping[str, Any], requests: Requests) -> bool:
     """Return whether the command makes several runs: by its option, or by Hydra's setting.
 
     Options that do not go together, on which Hydra fails, are refused.
     """
     modes = [mode.name for mode in RunMode]
-    mode = overrides.choice("hydra.mode")
+    mode = requests.choice("hydra.mode")
     if mode is not None and mode not in modes:
         raise ConfigError(f"hydra.mode: {' or '.join(modes)} is allowed; the value is {mode}")
     if chosen["multirun"] and mode == RunMode.RUN.name:
         raise ConfigError(f"hydra.mode={mode}: no meaning beside --multirun; leave it out")
     several = chosen["multirun"] or mode == RunMode.MULTIRUN.name
     shown = [f"--{name}" for name in ("cfg", "info") if chosen[name]]
-    if shown and (several or overrides.swept):
+    if shown and (several or requests.swept):
         raise ConfigError(
             f"{shown[0]}: it shows one configuration; leave --multirun out, and give one value of "
-            f"{', '.join(overrides.swept) or 'each setting'}"
+            f"{', '.join(requests.swept) or 'each setting'}"
         )
     if len(shown) > 1:
         raise ConfigError(f"{shown[1]}: no meaning beside {shown[0]}; leave one out")
@@ -175,9 +175,9 @@ def _several(chosen: Mapping[str, Any], overrides: Overrides) -> bool:
     return bool(several)
 
 
-def _check(overrides: Overrides) -> None:
+def _check(requests: Requests) -> None:
     """Refuse a wrong request before Hydra creates a directory."""
-    own = overrides.where(lambda key: not key.startswith("hydra") or key == SEARCH_PATH)
+    own = requests.where(lambda key: not key.startswith("hydra") or key == SEARCH_PATH)
     # pymunk swallows a KeyboardInterrupt that is raised while it frees a body.
     with interrupts("stopping …") as stop:
         for probe in (own, *own.interval_probes()):
@@ -240,7 +240,7 @@ class _Job:
         config = parse_training(composed)
         training_run.check_device(config)
         if not self.checked:
-            check_training_effect(config, Overrides.parse(list(settings.overrides.task)))
+            check_training_effect(config, from_words(settings.overrides.task))
             training_run.check(config)
             print_notices(config)
         directory = Path(settings.runtime.output_dir)

@@ -17,27 +17,30 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
+from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from flipperctl.cli.hydra.compose import compose_train
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.process.session import quote_path
+from flipperctl.requests.compose import compose_train
+from flipperctl.requests.request import Requests, Several
+from flipperctl.requests.text import from_words, read
 from flipperctl.rollout.cluster import is_connected, join
 from flipperctl.terminal.progress import HEADING
 from flipperctl.terminal.streams import print_note
 from flipperctl.text.messages import counted
 from flipperctl.text.show import NONE, Column, Table, console, print_lines, print_table
-from flipperctl.training.search import Interval, check_settings, search
+from flipperctl.training.search import Interval, SearchSettings, check_settings, search
 from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
 
 _OBJECT_STORE = 75 * 2**20
 """Memory for objects of a cluster of the launcher's own, which is its default [B]."""
 _MODULE = "hydra_plugins.hydra_ray_launcher.ray_launcher"
+_SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 _ROWS = 40
 """Largest number of rows of the table; the file holds all runs."""
 _COLUMNS = (
@@ -46,6 +49,21 @@ _COLUMNS = (
     Column("t_cost", "time [s]", 1),
     Column("runs", "runs", named=True),
 )
+
+
+def register_sweepers() -> None:
+    """Register ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
+
+    Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are registered here,
+    for this process alone; other Hydra applications keep their own ``basic`` and ``optuna``.
+    """
+    Plugins.instance()  # the discovery registers Hydra's own entries, which ours replace
+    settings: dict[str, dict[str, Any]] = {
+        "basic": {"_target_": f"{_SWEEPERS}.ListSweeper", "max_batch_size": None, "params": None},
+        "optuna": {"_target_": f"{_SWEEPERS}.OptunaSweeper", **SearchSettings().model_dump()},
+    }
+    for name, node in settings.items():
+        ConfigStore.instance().store(group="hydra/sweeper", name=name, node=node)
 
 
 def connect(launcher: Launcher) -> None:
@@ -137,11 +155,11 @@ def list_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]
     def run(arguments: list[str]) -> None:
         params = settings["params"] or {}
         words = [*(f"{key}={value}" for key, value in params.items()), *arguments]
-        overrides = Overrides.parse(words, check=False)
-        jobs.swept = overrides.swept
-        if intervals := [o.get_key_element() for o in overrides.parsed if o.is_interval_sweep()]:
+        requests = Requests(tuple(read(words)))
+        jobs.swept = requests.swept
+        if intervals := [r.name for r in requests if isinstance(r.value, Interval)]:
             raise ConfigError(f"{intervals[0]}: an interval is searched by hydra/sweeper=optuna")
-        combinations = [combination.words for combination in overrides.combinations()]
+        combinations = [combination.words for combination in requests.combinations()]
         with jobs.held():
             with read_write(config.hydra.sweep):
                 config.hydra.sweep.dir = str(jobs.folder)
@@ -220,16 +238,30 @@ def search_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[st
     jobs = launched_by(Plugins.instance().instantiate_launcher(**given), given["config"])
 
     def run(arguments: list[str]) -> None:
-        sampled, fixed = Overrides.parse(arguments, check=False).sampled()
-        check_objective(sampled, fixed)
-        if found := [key for key in sampled if _setting(key).split(".")[0] in _TASK]:
+        swept, fixed = sampled(Requests(tuple(read(arguments))))
+        check_objective(swept, fixed)
+        if found := [key for key in swept if _setting(key).split(".")[0] in _TASK]:
             print_note(
                 f"note: {', '.join(found)} change what a training is judged on; the best trial may "
                 "be the easiest"
             )
-        search(checked, jobs, arguments, sampled, fixed, tell=print_note)
+        search(checked, jobs, arguments, swept, fixed, tell=print_note)
 
     return run
+
+
+def sampled(requests: Requests) -> tuple[dict[str, Interval | Sequence[str]], list[str]]:
+    """Return the intervals and lists that a search samples, by key, and the other words."""
+    values: dict[str, Interval | Sequence[str]] = {}
+    fixed: list[str] = []
+    for request in requests:
+        if isinstance(request.value, Several):
+            values[request.name] = [r.text.partition("=")[2] for r in request.value.requests]
+        elif isinstance(request.value, Interval):
+            values[request.name] = request.value
+        else:
+            fixed.append(request.text)
+    return values, fixed
 
 
 def check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Sequence[str]) -> None:
@@ -246,7 +278,7 @@ def check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Sequ
     objectives: dict[bool, str] = {}
     for experiment in lists.get(_EXPERIMENT, [None]):
         choice = [] if experiment is None else [f"{_EXPERIMENT}={experiment}"]
-        for one in compose_train(Overrides.parse([*words, *first, *choice])):
+        for one in compose_train(from_words([*words, *first, *choice])):
             objectives.setdefault(one.train.best_by == "return", " ".join(choice))
     if paying and True in objectives:
         raise ConfigError(

@@ -9,9 +9,10 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 
 from flipperctl.cli.hydra import sweeps
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by
 from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
+from flipperctl.requests.request import Requests
+from flipperctl.requests.text import from_words, read
 from flipperctl.training import search as searching
 from flipperctl.training.search import SearchSettings, distributions, objective
 from tests.cli.call import refused
@@ -54,7 +55,7 @@ def search(
     sweep = {"dir": str(folder), "subdir": "${hydra.job.num}"}
     jobs = launched_by(launcher, OmegaConf.create({"hydra": {"sweep": sweep}}))
     chosen = SearchSettings(storage=storage, **settings)
-    sampled, fixed = Overrides.parse(overrides, check=False).sampled()
+    sampled, fixed = sweeps.sampled(Requests(tuple(read(overrides))))
     searching.search(chosen, jobs, overrides, sampled, fixed, tell=print)
     return launcher.jobs, trials(folder)
 
@@ -149,7 +150,7 @@ def test_one_study_holds_one_search_by_one_measure(tmp_path: Path) -> None:
 def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
     interval = ["agent.gamma=interval(0.9,0.99)", "agent.batch_size=int(interval(32,64))"]
     words = [*interval, "network=mlp,at_d3qn", "seed=3", "~rewards.pitch"]
-    sampled, fixed = Overrides.parse(words).sampled()
+    sampled, fixed = sweeps.sampled(from_words(words))
     assert fixed == ["seed=3", "~rewards.pitch"]
     assert distributions(sampled) == {
         "agent.gamma": optuna.distributions.FloatDistribution(0.9, 0.99),
@@ -203,7 +204,7 @@ def test_the_objective_is_the_return_where_runs_choose_by_it() -> None:
 )
 def test_objectives_that_do_not_compare_are_refused(words: list[str], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        sweeps.check_objective(*Overrides.parse(words, check=False).sampled())
+        sweeps.check_objective(*sweeps.sampled(Requests(tuple(read(words)))))
 
 
 def test_objectives_that_compare_are_searched() -> None:
@@ -211,7 +212,7 @@ def test_objectives_that_compare_are_searched() -> None:
         ["network=mlp,dueling_mlp", "network.hidden=[16],[32]"],  # they need each other
         ["rewards.swing.weight=interval(2,16)", "train.best_by=success"],
     ):
-        sweeps.check_objective(*Overrides.parse(words, check=False).sampled())
+        sweeps.check_objective(*sweeps.sampled(Requests(tuple(read(words)))))
 
 
 def test_the_command_refuses_them(tmp_path: Path) -> None:
@@ -223,7 +224,7 @@ def test_the_command_refuses_them(tmp_path: Path) -> None:
 
 def test_values_have_the_types_that_hydra_gives_them() -> None:
     given = ["train.decisions=500", "device='cuda:0'", "batch_sizes=[1,2]", "x=1e-3", "y=null"]
-    assert Overrides.parse(given).values() == {
+    assert from_words(given).values() == {
         "train.decisions": 500,
         "device": "cuda:0",
         "batch_sizes": [1, 2],
@@ -237,4 +238,4 @@ def test_values_have_the_types_that_hydra_gives_them() -> None:
 )
 def test_only_plain_values_are_allowed(override: str) -> None:
     with pytest.raises(ConfigError, match="one value is allowed here"):
-        Overrides.parse([override]).values()
+        from_words([override]).values()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from flipperctl.api import FloatArray, Profile, RobotState, SensedGround
-from flipperctl.cli.plan import scenes
 from flipperctl.evaluation.conditions import Conditions
+from flipperctl.requests.plan import scenes
+from flipperctl.requests.text import from_words
 from flipperctl.sim.planar import PlanarSensor, TerrainSensor
 from flipperctl.sim.planar.rays import distances
 from flipperctl.sim.planar.sensing import NEAREST, MapErrors, MapErrorSize, correlated
@@ -304,7 +305,7 @@ def test_points_stay_in_order_and_within_reach_and_a_snapshot_repeats_them() -> 
 
 def test_settings_of_a_map_count_in_the_hash_of_conditions_where_they_have_an_effect() -> None:
     def conditions(*words: str) -> Conditions:
-        ((config, _),) = scenes(["terrain=step", *words], None, "okada")
+        ((config, _),) = scenes(from_words(["terrain=step", *words]), None, "okada")
         return Conditions.of(config)
 
     plain, other = conditions(), conditions("perception.map_length=1")

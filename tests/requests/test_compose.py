@@ -6,14 +6,15 @@ from typing import Any
 import pytest
 from hydra.core.config_store import ConfigStore
 
-from flipperctl.cli.hydra import compose
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.reward import controller_fields
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.plan import policies
 from flipperctl.learners import D3qn
 from flipperctl.lookahead import Mpc
+from flipperctl.requests import compose
+from flipperctl.requests.request import Requests
+from flipperctl.requests.text import from_words
 from flipperctl.sim.planar import PlanarSensor
 from tests.cli.call import EXACT, call
 
@@ -21,13 +22,13 @@ MPC = to_dict(Mpc(value=""))
 
 
 def compose_train(words: list[str]) -> list[TrainConfig]:
-    return compose.compose_train(Overrides.parse(words))
+    return compose.compose_train(from_words(words))
 
 
 def compose_eval(
     words: list[str], primary: str = compose.EVAL_CONTROLLER
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
-    return compose.compose_eval(Overrides.parse(words), primary)
+    return compose.compose_eval(from_words(words), primary)
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +39,7 @@ def defaults() -> None:
 @pytest.mark.parametrize("word", ["sim.friction=1,0.5,1.0", "terrain='a','a'"])
 def test_a_list_with_a_value_twice_is_refused(word: str) -> None:
     with pytest.raises(ConfigError, match="is given twice; once is allowed"):
-        list(Overrides.parse([word]).combinations())
+        list(from_words([word]).combinations())
 
 
 def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() -> None:
@@ -117,7 +118,7 @@ def test_the_taught_experiment_takes_any_teacher() -> None:
 def test_the_papers_method_is_an_experiment_and_its_rewards_judge() -> None:
     paper = EnvConfig(terrain="stair").rewards
     (train,), (plain,) = compose_train(["experiment=paper"]), compose_train([])
-    assert train.rewards == compose.compose_environment(Overrides()).rewards == paper
+    assert train.rewards == compose.compose_environment(Requests()).rewards == paper
     assert (train.perception.layout.size, plain.perception.layout.size) == (18, 33)
     assert train.agent == D3qn() != plain.agent
 
@@ -144,13 +145,13 @@ def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
 
 
 def controller_of(*words: str) -> dict[str, Any]:
-    ((_, settings),) = compose.compose_eval(Overrides.parse(["controller=mpc", *words]))
+    ((_, settings),) = compose.compose_eval(from_words(["controller=mpc", *words]))
     assert settings is not None
     return settings
 
 
 def preset(name: str) -> dict[str, Any]:
-    config = compose.compose_environment(Overrides.parse([f"rewards={name}"]))
+    config = compose.compose_environment(from_words([f"rewards={name}"]))
     return {term: to_dict(settings) for term, settings in config.rewards.items()}
 
 
@@ -172,21 +173,21 @@ def test_a_preset_of_a_plugin_counts() -> None:
 
 def test_a_teacher_has_presets_with_the_discount_of_the_training() -> None:
     words = ["teacher=mpc", "teacher.controller.rewards=smooth", "agent.gamma=0.9"]
-    (config,) = compose.compose_train(Overrides.parse(words))
+    (config,) = compose.compose_train(from_words(words))
     controller = to_dict(config)["teacher"]["controller"]
     assert controller["rewards"]["shaped_progress"]["gamma"] == 0.9
     assert list(controller["rewards"]) == list(preset("smooth"))
 
 
 def test_compared_controllers_with_that_field_have_the_preset() -> None:
-    words = Overrides.parse(["controller.rewards=tuned", "terrain=step"])
+    words = from_words(["controller.rewards=tuned", "terrain=step"])
     fields, others = controller_fields(words)
     sources = policies(["level,mpc"], fields, print)
     assert (sources["mpc"].settings or {})["rewards"] == preset("tuned")
     assert "rewards" not in (sources["level"].settings or {})
     assert others.words == ["terrain=step"]
     with pytest.raises(ConfigError, match=r"controller.rewards: .*'tune' .did you mean 'tuned'"):
-        controller_fields(Overrides.parse(["controller.rewards=tune"]))
+        controller_fields(from_words(["controller.rewards=tune"]))
 
 
 def test_a_preset_of_a_configuration_folder_counts_in_a_training(tmp_path: Path) -> None:

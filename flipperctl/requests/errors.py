@@ -1,39 +1,36 @@
-"""Explain Hydra's errors: the wrong key or choice, the known ones, and a close match.
+"""Explain wrong keys and choices: the known ones, and a close match.
 
-In: an exception of Hydra or OmegaConf. Out: one of the package's own, in one line. The text
-of an exception is never parsed; the wrong override is the first that Hydra refuses.
+In: an exception of Hydra or OmegaConf, or a request. Out: one of the package's own exceptions, in
+one line. The text of an exception is never parsed.
 """
 
 from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from hydra import compose
-from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.types import Override
 from hydra.errors import (
     ConfigCompositionException,
     HydraException,
     MissingConfigException,
     OverrideParseException,
 )
-from omegaconf import OmegaConf
-from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from flipperctl.api import Learner
 from flipperctl.api.plugin import registered_names
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import CHOICES, missing_entry
+from flipperctl.config.merge import MISSING, find, merges
 from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
+from flipperctl.requests.request import Request
 from flipperctl.text.messages import explain_unknown_key
 
-_MISSING = "<missing>"
 _FORMER_LEARNERS = ("method", "agent.learner", "agent.policy_gradient")
 """Keys by which learners were chosen before they were plugins."""
 _OWN_CONDITIONS = (
@@ -98,40 +95,60 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     return ConfigError(f"{missing}; {_OWN_CONDITIONS}") if group == "conditions" else missing
 
 
-def unknown_key(
-    error: ConfigCompositionException, primary: str, overrides: Overrides
+def wrong_choice(
+    error: ConfigCompositionException, choices: Iterable[Request], composed: DictConfig
 ) -> ConfigError:
-    """Return the error for an override of an unknown key, or ``error`` in one line."""
-    groups = [o for o in overrides.parsed if _is_group(o)]
-    known: Any = OmegaConf.to_container(compose(primary))
-    plain = [o for o in groups if o.package is None and o.key_or_group in known]
-    plain = [o for o in plain if not (o.is_add() or o.is_delete())]
-    # Groups are applied before keys; entries are added to what the choices among them brought.
-    for chosen, words in ((plain, groups), (groups, overrides.parsed)):
-        try:
-            composed = compose(primary, [str(o.input_line) for o in chosen])
-        except ConfigCompositionException as refusal:
-            return ConfigError(_one_line(refusal))
-        node: Any = OmegaConf.to_container(composed, resolve=True)
-        for override in words:
-            if override not in chosen and (text := _fault(override, node)):
-                return ConfigError(text)
-    cause = error.__cause__
-    if isinstance(cause, ConfigAttributeError | ConfigKeyError) and cause.full_key:
-        return ConfigError(explain_unknown_key(str(cause.full_key), node))
+    """Return the error for a group that the configuration, ``composed`` without it, has not."""
+    node: Any = OmegaConf.to_container(composed)
+    for request in choices:
+        if find(node, request.package or request.key) is MISSING and not request.key.startswith(
+            "hydra"
+        ):
+            return ConfigError(_unknown(request.package or request.key, node))
     return ConfigError(_one_line(error))
 
 
-def _fault(override: Override, node: Mapping[str, Any]) -> str:
-    """Return why the key of an override does not fit the composed ``node``; empty if it does."""
-    key, section = override.package or override.key_or_group, override.key_or_group.split(".")[0]
-    if section.startswith("hydra") or override.is_force_add():
-        return ""
-    exists = OmegaConf.select(OmegaConf.create(dict(node)), key, default=_MISSING) != _MISSING
-    if override.is_add() and exists:
-        return f"{key} exists already; write {str(override.input_line).removeprefix('+')}"
-    if override.is_add() or exists:
-        return ""
+def check_key(request: Request, composed: DictConfig, plain: Mapping[str, Any]) -> None:
+    """Refuse a change of a key that does not exist, and an addition of one that does.
+
+    ``composed``: what Hydra composed, which knows which sections are open for new keys. ``plain``:
+    the same as plain data, with the changes so far.
+    """
+    old = find(plain, request.key)
+    if request.prefix == "++":
+        return
+    if request.prefix == "+":
+        if old not in (MISSING, None) and not isinstance(request.value, dict | list):
+            text = request.text.removeprefix("+")
+            raise ConfigError(f"{request.key} exists already; write {text}")
+        return
+    if request.drops and request.value not in (None, old):
+        raise ConfigError(f"{request.text}: the value of {request.key} is {old!r}")
+    for key in _new_keys(request.key, request.value, old):
+        if not _is_open(composed, key):
+            raise ConfigError(_unknown(key, plain))
+
+
+def _new_keys(key: str, value: Any, old: Any) -> Iterator[str]:
+    """Yield the keys of a value that the old one does not have."""
+    if old is MISSING:
+        yield key
+    elif merges(old, value):
+        for name, inner in value.items():
+            yield from _new_keys(f"{key}.{name}", inner, old.get(name, MISSING))
+
+
+def _is_open(composed: DictConfig, key: str) -> bool:
+    """Return whether a section on the path to a key takes new keys."""
+    parts = key.split(".")[:-1]
+    paths = [".".join(parts[: end + 1]) for end in range(len(parts))]
+    nodes = [OmegaConf.select(composed, path, default=None) for path in paths]
+    return any(isinstance(n, DictConfig) and OmegaConf.is_struct(n) is False for n in nodes)
+
+
+def _unknown(key: str, node: Mapping[str, Any]) -> str:
+    """Return the error for a key that ``node`` does not have."""
+    section = key.partition(".")[0]
     if key.startswith(_FORMER_LEARNERS) and "network" in node:
         names = ", ".join(registered_names(Learner.kind))
         return (
@@ -141,12 +158,6 @@ def _fault(override: Override, node: Mapping[str, Any]) -> str:
     if section not in node and section in TrainConfig.model_fields.keys() - {"seed"}:
         return f"{key}: it belongs to a training, and has no meaning here"
     return explain_unknown_key(key, node)
-
-
-def _is_group(override: Override) -> bool:
-    """Return whether Hydra treats the override as the choice of a config group."""
-    options = GlobalHydra.instance().config_loader().get_group_options(override.key_or_group)
-    return bool(options) and not isinstance(override.value(), dict)
 
 
 def _one_line(error: Exception) -> str:

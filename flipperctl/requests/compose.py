@@ -1,7 +1,7 @@
-"""Compose validated configurations from overrides, with Hydra.
+"""Compose validated configurations from requests: Hydra applies the choices, ``merge`` the values.
 
-In: overrides, the registry, the models' defaults, a policy's configuration. Out: a ``TrainConfig``
-or ``EvalConfig`` for each combination of the lists among the overrides. Files, such as those of
+In: requests, the registry, the models' defaults, a policy's configuration. Out: a ``TrainConfig``
+or ``EvalConfig`` for each combination of the lists among the requests. Files, such as those of
 ``--config-dir``, are read by Hydra.
 """
 
@@ -23,8 +23,6 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.api import Learner, ObservationLayout, Plugin, Robot, registry
-from flipperctl.cli.hydra import errors
-from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import (
     DEFAULT_ENGINE,
     EnvConfig,
@@ -34,12 +32,22 @@ from flipperctl.config import (
     presets,
     to_dict,
 )
-from flipperctl.config.defaults import LISTS, entries, missing_entry, refuse_ineffective, sections
+from flipperctl.config.defaults import (
+    CHOICES,
+    LISTS,
+    entries,
+    missing_entry,
+    refuse_ineffective,
+    sections,
+)
+from flipperctl.config.merge import change, drop
 from flipperctl.config.sampled import OMITTED, PATH_SECTIONS
+from flipperctl.config.words import escaped
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explain_missing_training
+from flipperctl.requests import errors
+from flipperctl.requests.request import RUN_FOLDER, Request, Requests
 from flipperctl.terminal.streams import print_notices
-from flipperctl.training.search import SearchSettings
 
 CONFIGS = str(resources.files("flipperctl.configs"))
 EVAL_CONTROLLER = "eval"
@@ -50,7 +58,6 @@ _ROBOT = "flipperctl_eval_robot"
 """That of an evaluation of a controller with a robot that a file describes."""
 _TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
-_SWEEPERS = "hydra_plugins.flipperctl_sweepers"
 Composed = TypeVar("Composed")
 
 
@@ -133,99 +140,96 @@ def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str
     return _ROBOT
 
 
-def register_sweepers() -> None:
-    """Register ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
-
-    Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are registered here,
-    for this process alone; other Hydra applications keep their own ``basic`` and ``optuna``.
-    """
-    Plugins.instance()  # the discovery registers Hydra's own entries, which ours replace
-    settings: dict[str, dict[str, Any]] = {
-        "basic": {"_target_": f"{_SWEEPERS}.ListSweeper", "max_batch_size": None, "params": None},
-        "optuna": {"_target_": f"{_SWEEPERS}.OptunaSweeper", **SearchSettings().model_dump()},
-    }
-    for name, node in settings.items():
-        ConfigStore.instance().store(group="hydra/sweeper", name=name, node=node)
-
-
-def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # noqa: B008  # frozen
-    """Return one configuration for each combination of the sweeps in ``overrides``.
+def compose_train(requests: Requests = Requests()) -> list[TrainConfig]:  # noqa: B008  # frozen
+    """Return one configuration for each combination of the lists in ``requests``.
 
     Raises:
-        ConfigError: an override is unknown, of the wrong type, out of bounds or without effect.
+        ConfigError: a request is unknown, of the wrong type, out of bounds or without effect.
     """
-    found = []
-    for combination, composed in _compositions("train", overrides):
+    configs = []
+    for combination, composed in _compositions("train", requests):
         config = parse_training(composed)
         check_training_effect(config, combination)
         print_notices(config)
-        found.append(config)
-    return found
+        configs.append(config)
+    return configs
 
 
 def parse_training(composed: DictConfig) -> TrainConfig:
-    """Validate the training configuration that Hydra composed."""
+    """Validate a composed training configuration."""
     plain = _plain(composed)
     teacher, agent = plain.get("teacher"), plain.get("agent")
     if isinstance(teacher, dict) and isinstance(agent, dict) and "controller" in teacher:
-        gamma = f"agent.gamma={agent.get('gamma')}"
+        gamma = Request("agent.gamma", agent.get("gamma"))
         own = with_preset(teacher["controller"], "teacher.controller", "train", gamma)
         plain = {**plain, "teacher": {**teacher, "controller": own}}
     return parse(TrainConfig, {"logger": {}, **plain})
 
 
-def check_training_effect(config: TrainConfig, overrides: Overrides) -> None:
-    """Refuse an override of a setting that a training samples anew for every episode.
+def check_training_effect(config: TrainConfig, requests: Requests) -> None:
+    """Refuse a change of a setting that a training samples anew for every episode.
 
     Those of the robot have an effect: policies and evaluations assume the configured one.
     """
-    typed = overrides.typed.items()
+    typed = requests.typed.items()
     refuse_ineffective(config, {key: word for key, word in typed if not key.startswith("robot.")})
 
 
-def run_directory(overrides: Overrides) -> Path:
-    """Return the directory of a single run, ``hydra.run.dir``, for overrides that compose."""
+def run_directory(requests: Requests) -> Path:
+    """Return the directory of a single run, ``hydra.run.dir``, for requests that compose."""
     with errors.convert_hydra_errors(), _initialized():
-        return Path(compose("train", overrides.words, return_hydra_config=True).hydra.run.dir)
+        return Path(OmegaConf.select(_merged("train", requests, hydra=True), RUN_FOLDER))
 
 
 def compose_eval(
-    overrides: Overrides, primary: str = EVAL_CONTROLLER
+    requests: Requests, primary: str = EVAL_CONTROLLER
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
     """Return the configuration of each combination, and the controller's settings, if any."""
-    found = []
-    for combination, composed in _compositions(primary, overrides):
+    scenes = []
+    for combination, composed in _compositions(primary, requests):
         plain = _plain(composed)
         settings = with_preset(plain.pop("controller", None), "controller")
         plain["conditions"] = combination.choice("conditions") or NOMINAL
         config = parse(EvalConfig, plain)
         refuse_ineffective(config, combination.typed)
         print_notices(config)
-        found.append((config, settings))
-    return found
+        scenes.append((config, settings))
+    return scenes
 
 
-def compose_environment(overrides: Overrides, primary: str = EVAL_CONTROLLER) -> EnvConfig:
+def compose_environment(requests: Requests, primary: str = EVAL_CONTROLLER) -> EnvConfig:
     """Return the only configuration of an evaluation, as that of an environment."""
-    config, _ = only_one(compose_eval(overrides, primary))
+    config, _ = only_one(compose_eval(requests, primary))
     return config
 
 
-def with_preset(controller: Any, path: str, primary: str = EVAL_CONTROLLER, *words: str) -> Any:
+def with_preset(
+    controller: Any, path: str, primary: str = EVAL_CONTROLLER, *requests: Request
+) -> Any:
     """Return a controller's settings, with the terms of the preset if ``rewards`` is its name.
 
-    ``path``: section of the controller. ``words``: overrides on which the preset depends.
+    ``path``: section of the controller. ``requests``: those on which the preset depends.
     """
     name = controller.get("rewards") if isinstance(controller, dict) else None
     if not isinstance(name, str):
         return controller
+    known = group_names("rewards")
+    if name not in known:
+        raise missing_entry("rewards", name, known, f"{path}.rewards")
+    with _initialized():
+        composed = _plain(_merged(primary, Requests((Request("rewards", name), *requests))))
+    return {**controller, "rewards": composed["rewards"]}
+
+
+def group_names(group: str) -> list[str]:
+    """Return the names of a group's entries, those of plugins included."""
     register_defaults()
     with _initialized():
-        options = GlobalHydra.instance().config_loader().get_group_options("rewards")
-        if name not in (known := [option for option in options if option[0] != "_"]):
-            raise missing_entry("rewards", name, known, f"{path}.rewards")
-        composed = _plain(compose(primary, [f"rewards={name}", *words]))
-    return {**controller, "rewards": composed["rewards"]}
+        return [name for name in _options(group) if not name.startswith("_")]
+
+
+def _options(group: str) -> list[str]:
+    return GlobalHydra.instance().config_loader().get_group_options(group)
 
 
 def only_one(composed: Sequence[Composed]) -> Composed:
@@ -238,19 +242,51 @@ def only_one(composed: Sequence[Composed]) -> Composed:
     return composed[0]
 
 
-def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, DictConfig]]:
-    """Yield each combination of the sweeps, and its composed configuration."""
+def _compositions(primary: str, requests: Requests) -> Iterator[tuple[Requests, DictConfig]]:
+    """Yield each combination of the lists, and its composed configuration."""
     register_defaults()
     with errors.convert_hydra_errors(), _initialized():
-        for combination in overrides.combinations():
+        for combination in requests.combinations():
             if primary != _CHECKPOINT and combination.choice("conditions") == TRAINED:
                 raise ConfigError(explain_missing_training(exported=primary == _EXPORT))
-            try:
-                yield combination, compose(primary, combination.words)
-            except MissingConfigException as error:
-                raise errors.missing_choice(error) from error
-            except ConfigCompositionException as error:
-                raise errors.unknown_key(error, primary, combination) from error
+            yield combination, _merged(primary, combination)
+
+
+def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictConfig:
+    """Return a configuration whose texts may still refer to its settings, as in ``${seed}``.
+
+    ``hydra``: whether it has the settings of Hydra, too.
+    """
+    choices: list[Request] = []
+    values: list[Request] = []
+    for request in requests.expanded:
+        (choices if _is_choice(request) else values).append(request)
+    try:
+        composed = compose(primary, [r.text for r in choices], return_hydra_config=hydra)
+    except MissingConfigException as error:
+        raise errors.missing_choice(error) from error
+    except ConfigCompositionException as error:
+        raise errors.wrong_choice(error, choices, compose(primary)) from error
+    plain: Any = OmegaConf.to_container(composed)
+    for request in values:
+        errors.check_key(request, composed, plain)
+        if request.drops:
+            drop(plain, request.key)
+        else:
+            change(plain, request.key, request.value if request.typed else escaped(request.value))
+    merged: DictConfig = OmegaConf.create(plain)
+    return merged
+
+
+def _is_choice(request: Request) -> bool:
+    """Return whether Hydra applies the request: the choice of an entry, or one of its settings."""
+    key = request.key
+    if request.package is not None or key.startswith("hydra"):
+        return True
+    if isinstance(request.value, dict) or "." in key:
+        return False
+    # Hydra takes long to list what may be a group of the user's own files.
+    return key in CHOICES or (key not in TrainConfig.model_fields and bool(_options(key)))
 
 
 def _plain(composed: DictConfig) -> dict[str, Any]:

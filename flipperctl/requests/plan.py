@@ -1,0 +1,312 @@
+"""Make the plan of an evaluation, for every command that evaluates and for the Python interface.
+
+In: requests, policies and baselines. Out: an entry for each policy on each scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise, product
+from pathlib import Path
+
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
+from flipperctl.config.policy_file import is_policy_file
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.conditions import Inherited, policy_notes, read_config
+from flipperctl.evaluation.engines import steps
+from flipperctl.evaluation.plan import (
+    Entry,
+    NamedPolicy,
+    Plan,
+    controllers,
+    find_suite,
+    standing,
+)
+from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.requests.compose import compose_eval, register_trained
+from flipperctl.requests.request import Request, Requests, Several
+from flipperctl.requests.text import from_words
+from flipperctl.terminal.streams import print_note
+from flipperctl.views.summary import short
+
+Tell = Callable[[str], None]
+Scene = tuple[EvalConfig, PolicySource]
+"""``config.eval`` holds the number of episodes and the seed."""
+Section = tuple[str, Requests]
+"""Name and requests of a scene of a suite, or of the only scene, whose name is empty."""
+
+
+def scenes(
+    requests: Requests,
+    checkpoint: Path | None,
+    controller: str | None,
+    tell: Tell = print_note,
+) -> list[Scene]:
+    """Return a configuration and the policy's source for each scene.
+
+    ``controller`` is the policy if there is no ``checkpoint``. ``tell`` is called with lines on how
+    the evaluation of a checkpoint differs from its training.
+
+    Raises:
+        CheckpointError: there is no such policy, its observation layout differs, or the plugin of
+            its training terrain is missing and no other terrain is chosen.
+        ConfigError: a request is wrong.
+    """
+    if checkpoint is None:
+        file = controller if controller and is_policy_file(controller) else ""
+        if not file:
+            resolver.get("controller", controller, "--controller")
+        composed = compose_eval(Requests.of([Request("controller", controller)], requests))
+        played = [(config, PolicySource(settings=own, name=file)) for config, own in composed]
+        notes = (note for config, source in played for note in source.notes(config))
+        for note in dict.fromkeys(notes):
+            tell(note)
+        return played
+    source = load_policy(checkpoint, takes="file", tell=tell)
+    terrains = [combination.choice("terrain") for combination in requests.combinations()]
+    trained = read_config(source, terrains, tell)
+    configs = [config for config, _ in compose_eval(requests, register_trained(trained))]
+    # This raises for a wrong layout or robot, before the first episode.
+    for config in configs:
+        source.build(config)
+    for note in policy_notes(checkpoint, trained, configs, requests.typed):
+        tell(note)
+    return [(config, source) for config in configs]
+
+
+def make_plan(
+    requests: Requests,
+    entrants: Sequence[NamedPolicy],
+    baseline: str | None,
+    tell: Tell,
+    *,
+    returns: bool = True,
+) -> Plan:
+    """Return the plan; the policies of several entrants play equal scenes one after the other.
+
+    ``suite`` among the requests names a suite. ``baseline``: names of controllers that play the
+    same episodes; None stands for the policy's own, or for ``level,okada`` beside several policies.
+    ``tell`` is called with lines on what a reader might not expect, of returns if these are shown.
+
+    Raises:
+        CheckpointError: there is no such policy, or its observation layout differs.
+        ConfigError: a request, a suite or a controller is wrong.
+        RequestError: a name of a baseline is wrong, or an engine is compared with itself.
+    """
+    named = [request.value for request in requests if request.path == "suite"]
+    suite = find_suite(str(named[0])) if named else None
+    settings = Requests(tuple(request for request in requests if request.path != "suite"))
+    settings, compares_engines = _split_engines(settings)
+    if suite is None and len(entrants) == 1:
+        (policy,) = entrants
+        played = scenes(settings, policy.run, policy.controller, tell)
+        source = played[0][1]
+        against = controllers(baseline, "--baseline", source.baselines())
+        entries = [Entry(*scene) for scene in played]
+        is_folder = policy.run is not None and policy.run.is_dir()
+        title = str(policy.run) if is_folder else short(source.label())
+        return Plan.of_one(_steps(entries) if compares_engines else entries, against, title)
+    sections = [("", settings)]
+    if suite is not None:
+        sections = [
+            _section(scene.name, from_words(scene.words), settings) for scene in suite.scenes
+        ]
+    entries = _Scenes(entrants, sections, tell).entries()
+    entries = _with_controllers(
+        _steps(entries) if compares_engines else entries,
+        standing(baseline, entrants),
+        sections,
+        tell,
+        returns=returns,
+    )
+    title = ", ".join(map(short, dict.fromkeys(entrant.method for entrant in entrants)))
+    title = f"suite {suite.name}: {title}" if suite else title
+    return Plan(tuple(entries), title, with_best_known=baseline != "none")
+
+
+def _section(name: str, scene: Requests, settings: Requests) -> Section:
+    """Return a scene of a suite with the user's settings, which replace those of the same keys.
+
+    They are in its name, but for the terrain, which tables name by themselves.
+    """
+    replaced = {request.path: request.text for request in scene if request.path != "terrain"}
+    changed = [r.text for r in settings if replaced.get(r.path, r.text) != r.text]
+    own = {request.path for request in settings}
+    kept = [request for request in scene if request.path not in own]
+    return " ".join([f"{name},", *changed]) if changed else name, Requests.of(kept, settings)
+
+
+def _split_engines(requests: Requests) -> tuple[Requests, bool]:
+    """Return the requests without the default engine among several, and whether it was there."""
+    for index, request in enumerate(requests.items):
+        engines = request.value.requests if isinstance(request.value, Several) else ()
+        if request.path != "sim" or not any(r.value == DEFAULT_ENGINE for r in engines):
+            continue
+        others = tuple(engine for engine in engines if engine.value != DEFAULT_ENGINE)
+        if not others:
+            raise RequestError(
+                f"{request.text}: another engine is compared with {DEFAULT_ENGINE}, as in "
+                f"sim={DEFAULT_ENGINE},mujoco"
+            )
+        changed = others[0] if len(others) == 1 else Request("sim", Several(others))
+        return Requests((*requests.items[:index], changed, *requests.items[index + 1 :])), True
+    return requests, False
+
+
+def _steps(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the entries, each preceded by the steps that lead to it from the default engine."""
+    return [
+        replace(entry, config=config, comparison=number)
+        for number, entry in enumerate(entries)
+        for config in steps(entry.config)
+    ]
+
+
+class _Rows:
+    """Entries by the ground that they play, each once."""
+
+    def __init__(self) -> None:
+        self.by_ground: dict[tuple[str, str, int, int], list[Entry]] = {}
+
+    def add(self, entry: Entry) -> None:
+        """Add an entry, unless an equal one is there."""
+        rows = self.by_ground.setdefault(entry.ground, [])
+        if all(_plays(entry) != _plays(row) for row in rows):
+            rows.append(entry)
+
+    def all(self) -> list[Entry]:
+        """Return the entries, ground by ground."""
+        return [entry for rows in self.by_ground.values() for entry in rows]
+
+
+def _plays(entry: Entry) -> tuple[object, ...]:
+    """Return what results on equal episodes depend on."""
+    return entry.source, entry.config.rewards, entry.config.perception.layout
+
+
+def _with_controllers(
+    entries: Sequence[Entry],
+    beside: Sequence[NamedPolicy],
+    sections: Sequence[Section],
+    tell: Tell,
+    *,
+    returns: bool,
+) -> list[Entry]:
+    """Return the entries scene by scene, each once.
+
+    The controllers ``beside`` are played once under each policy's conditions.
+    """
+    rows = _Rows()
+    for entry in entries:
+        rows.add(entry)
+    _tell_unlike(rows.all(), tell)
+    keys = [request.package or request.key for _, part in sections for request in part]
+    chosen = any(key.startswith("rewards") for key in keys)
+    sources = [(entrant, load_policy(entrant.controller, "--baseline")) for entrant in beside]
+    for equal in list(rows.by_ground.values()):
+        configs = _of_each_reward(equal)
+        if not chosen:  # as when they are asked for by name, so that the same blocks serve
+            rewards = EvalConfig(terrain=configs[0].terrain).rewards
+            configs = [configs[0].model_copy(update={"rewards": rewards})]
+        for (entrant, source), config in product(sources, configs):
+            rows.add(Entry(config, source, equal[0].scene, entrant.method, is_baseline=True))
+    unlike = any(len(_of_each_reward(equal)) > 1 for equal in rows.by_ground.values())
+    if returns and not chosen and unlike:
+        tell("return does not compare: the policies have different rewards; rewards=… sets one")
+    return rows.all()
+
+
+def _of_each_reward(entries: Sequence[Entry]) -> list[EvalConfig]:
+    """Return the first configuration with each of the different rewards of a scene."""
+    configs: list[EvalConfig] = []
+    for entry in entries:
+        if all(entry.config.rewards != other.rewards for other in configs):
+            configs.append(entry.config)
+    return configs
+
+
+def _tell_unlike(entries: Sequence[Entry], tell: Tell) -> None:
+    """Tell if methods play different scenes, as policies that bring their own ground."""
+    played: dict[str, dict[str, None]] = {}
+    for entry in entries:
+        scene = f"{entry.terrain} {entry.conditions.hash}"
+        played.setdefault(entry.method, {})[scene] = None
+    if len({frozenset(scenes) for scenes in played.values()}) > 1:
+        each = "; ".join(
+            f"{method}: {next(iter(scenes))}{' …' if len(scenes) > 1 else ''}"
+            for method, scenes in played.items()
+        )
+        tell(
+            f"these policies play different scenes, so they do not compare ({each}); terrain=… and "
+            "conditions=… set the same for all"
+        )
+
+
+@dataclass
+class _Scenes:
+    """The scenes of policies, composed once for those that inherit equal settings.
+
+    A controller with settings among the requests has scenes of its own. Without a terrain among
+    them, controllers play the scenes of the policies beside them, if these inherit equal settings.
+    """
+
+    entrants: Sequence[NamedPolicy]
+    sections: Sequence[Section]
+    tell: Tell
+    _told: set[str] = field(default_factory=set)
+
+    def entries(self) -> list[Entry]:
+        """Return each policy on its scenes."""
+        methods = [entrant.method for entrant in self.entrants]
+        several = {method for method in methods if methods.count(method) > 1}
+        return [
+            Entry(
+                *(config, source, scene, entrant.method),
+                entrant.training_seed if entrant.method in several else None,
+            )
+            for entrant, played in zip(self.entrants, self._played(), strict=True)
+            for scene, config, source in played
+        ]
+
+    def _once(self, line: str) -> None:
+        if line not in self._told:
+            self._told.add(line)
+            self.tell(line)
+
+    def _played(self) -> Iterator[list[tuple[str, EvalConfig, PolicySource]]]:
+        """Yield the scenes of each policy."""
+        known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
+        runs = {entrant: entrant.run for entrant in self.entrants if entrant.run}
+        sources = {e: load_policy(run, takes="file", tell=self._once) for e, run in runs.items()}
+        brought = {e: Inherited.of(read_config(sources[e], [], lambda text: None)) for e in sources}
+        keys = {request.path.partition(".")[0] for _, part in self.sections for request in part}
+        sets_controller = "controller" in keys
+        alike = all(former == later for former, later in pairwise(brought.values()))
+        host = next(iter(brought), None) if alike and not {"controller", "terrain"} & keys else None
+        for entrant in self.entrants:
+            maker = entrant if entrant.run or host is None else host
+            inherited = brought.get(maker)
+            source = sources.get(entrant) or load_policy(
+                entrant.controller, "--controller", "controller", fields={}
+            )
+            equal = next((configs for who, configs in known if who == inherited), None)
+            if equal is None or (sets_controller and not entrant.run):
+                composed = [
+                    (name, *scene)
+                    for name, part in self.sections
+                    for scene in scenes(part, maker.run, maker.controller, self._once)
+                ]
+                if entrant.run or not sets_controller:
+                    known.append((inherited, [(name, config) for name, config, _ in composed]))
+                if maker is entrant:
+                    yield composed
+                    continue
+                equal = known[-1][1]
+            for _, config in equal:
+                if entrant.run is not None:
+                    source.build(config)  # it raises before the first episode
+                    continue
+                for note in source.notes(config):
+                    self._once(note)
+            yield [(name, config, source) for name, config in equal]
