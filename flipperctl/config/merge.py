@@ -30,10 +30,11 @@ def find(plain: Mapping[str, Any], key: str) -> Any:
     return node
 
 
-def change(plain: dict[str, Any], key: str, value: object) -> None:
+def change(plain: dict[str, Any], key: str, value: object, *, replace: bool = False) -> None:
     """Set the value of a dotted key; sections on the path to it that are missing are added.
 
-    A mapping is merged into the one that is there, unless it names another plugin.
+    A mapping is merged into the one that is there. ``replace``: unless it has a name, by which it
+    replaces the settings of the plugin that is there.
 
     Raises:
         ConfigError: a part of the key is a value, which has no settings.
@@ -47,7 +48,7 @@ def change(plain: dict[str, Any], key: str, value: object) -> None:
         if not isinstance(node, dict | list):
             raise ConfigError(f"{key}: {parent} is a value, not a section; it is {node!r}")
     if isinstance(node, dict):
-        _merge(node, leaf, value)
+        _merge(node, leaf, value, replace=replace)
     elif find({"": node}, f".{leaf}") is MISSING:
         raise ConfigError(f"{key}: there is no item {leaf} in a list of {len(node)}")
     else:
@@ -60,18 +61,12 @@ def drop(plain: dict[str, Any], key: str) -> None:
     del (find(plain, parents) if parents else plain)[leaf]
 
 
-def merges(old: object, value: object) -> bool:
-    """Return whether a mapping is merged into the old value, since it names no other plugin."""
-    if not (isinstance(old, dict) and isinstance(value, Mapping)):
-        return False
-    return bool(value.get("name", old.get("name")) == old.get("name"))
-
-
-def _merge(node: dict[str, Any], key: str, value: Any) -> None:
+def _merge(node: dict[str, Any], key: str, value: object, *, replace: bool) -> None:
     old = node.get(key)
-    if merges(old, value):
+    named = replace and isinstance(value, Mapping) and "name" in value
+    if isinstance(old, dict) and isinstance(value, Mapping) and not named:
         for inner, item in value.items():
-            _merge(node[key], inner, item)
+            _merge(old, inner, item, replace=replace)
     elif isinstance(old, dict) and "name" in old and isinstance(value, str):
         node[key] = {"name": value}  # other keys may set its fields
     else:
@@ -100,11 +95,12 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
         elif key == "logger" and not isinstance(value, Mapping):  # names replace all loggers
             plain[key] = loggers_by_name(value)
         elif key == "collector" and isinstance(value, str):
-            change(plain, key, {"name": value})
+            if find(plain, "collector.name") != value:
+                plain[key] = {"name": value}
         elif key == "robot" and isinstance(value, str):
             change(plain, key, to_dict(named_robot(value)))
         else:
-            change(plain, key, value)
+            change(plain, key, value, replace=True)
     if isinstance(rewards := plain.get("rewards"), dict):
         plain["rewards"] = {name: term for name, term in rewards.items() if term is not None}
     return parse(type(config), plain)

@@ -25,7 +25,7 @@ from flipperctl.api import Learner
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import CHOICES, missing_entry
-from flipperctl.config.merge import MISSING, find, merges
+from flipperctl.config.merge import MISSING, find
 from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
 from flipperctl.requests.request import Request
@@ -133,7 +133,7 @@ def _new_keys(key: str, value: Any, old: Any) -> Iterator[str]:
     """Yield the keys of a value that the old one does not have."""
     if old is MISSING:
         yield key
-    elif merges(old, value):
+    elif isinstance(value, dict) and isinstance(old, dict):
         for name, inner in value.items():
             yield from _new_keys(f"{key}.{name}", inner, old.get(name, MISSING))
 
