@@ -6,7 +6,7 @@ In: requests, policies and baselines. Out: an entry for each policy on each scen
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 
@@ -112,13 +112,9 @@ def make_plan(
         sections = [
             _section(scene.name, from_words(scene.words), settings) for scene in suite.scenes
         ]
-    entries = _Scenes(entrants, sections, tell).entries()
-    entries = _with_controllers(
-        _steps(entries) if compares_engines else entries,
-        standing(baseline, entrants),
-        sections,
-        tell,
-        returns=returns,
+    beside = standing(baseline, entrants)
+    entries = _entries(
+        *(entrants, beside, sections, tell), engines=compares_engines, returns=returns
     )
     title = ", ".join(map(short, dict.fromkeys(entrant.method for entrant in entrants)))
     title = f"suite {suite.name}: {title}" if suite else title
@@ -163,58 +159,57 @@ def _steps(entries: Sequence[Entry]) -> list[Entry]:
     ]
 
 
-class _Rows:
-    """Entries by the ground that they play, each once."""
-
-    def __init__(self) -> None:
-        self.by_ground: dict[tuple[str, str, int, int], list[Entry]] = {}
-
-    def add(self, entry: Entry) -> None:
-        """Add an entry, unless an equal one is there."""
-        rows = self.by_ground.setdefault(entry.ground, [])
-        if all(_plays(entry) != _plays(row) for row in rows):
-            rows.append(entry)
-
-    def all(self) -> list[Entry]:
-        """Return the entries, ground by ground."""
-        return [entry for rows in self.by_ground.values() for entry in rows]
-
-
-def _plays(entry: Entry) -> tuple[object, ...]:
-    """Return what results on equal episodes depend on."""
-    return entry.source, entry.config.rewards, entry.config.perception.layout
-
-
-def _with_controllers(
-    entries: Sequence[Entry],
+def _entries(
+    entrants: Sequence[NamedPolicy],
     beside: Sequence[NamedPolicy],
     sections: Sequence[Section],
     tell: Tell,
     *,
+    engines: bool,
     returns: bool,
 ) -> list[Entry]:
-    """Return the entries scene by scene, each once.
+    """Return the entries of several methods or of a suite, scene by scene, each once.
 
     The controllers ``beside`` are played once under each policy's conditions.
     """
-    rows = _Rows()
-    for entry in entries:
-        rows.add(entry)
-    _tell_unlike(rows.all(), tell)
+    rows: dict[tuple[str, str, int, int], list[Entry]] = {}
+
+    def add(entry: Entry) -> None:
+        equal = rows.setdefault(entry.ground, [])
+        # What results on equal episodes depend on.
+        plays = entry.source, entry.config.rewards, entry.config.perception.layout
+        others = ((o.source, o.config.rewards, o.config.perception.layout) for o in equal)
+        if plays not in others:
+            equal.append(entry)
+
+    # The policies, with their training seeds where these tell them apart.
+    methods = [entrant.method for entrant in entrants]
+    planned = [
+        Entry(
+            *(config, source, scene, entrant.method),
+            entrant.training_seed if methods.count(entrant.method) > 1 else None,
+        )
+        for entrant, played in zip(entrants, _played(entrants, sections, tell), strict=True)
+        for scene, config, source in played
+    ]
+    for entry in _steps(planned) if engines else planned:
+        add(entry)
+    _tell_unlike([entry for equal in rows.values() for entry in equal], tell)
+
+    # The controllers beside them.
     keys = [request.package or request.key for _, part in sections for request in part]
     chosen = any(key.startswith("rewards") for key in keys)
     sources = [(entrant, load_policy(entrant.controller, "--baseline")) for entrant in beside]
-    for equal in list(rows.by_ground.values()):
+    for equal in list(rows.values()):
         configs = _of_each_reward(equal)
         if not chosen:  # as when they are asked for by name, so that the same blocks serve
             rewards = EvalConfig(terrain=configs[0].terrain).rewards
             configs = [configs[0].model_copy(update={"rewards": rewards})]
         for (entrant, source), config in product(sources, configs):
-            rows.add(Entry(config, source, equal[0].scene, entrant.method, is_baseline=True))
-    unlike = any(len(_of_each_reward(equal)) > 1 for equal in rows.by_ground.values())
-    if returns and not chosen and unlike:
+            add(Entry(config, source, equal[0].scene, entrant.method, is_baseline=True))
+    if returns and not chosen and any(len(_of_each_reward(equal)) > 1 for equal in rows.values()):
         tell("return does not compare: the policies have different rewards; rewards=… sets one")
-    return rows.all()
+    return [entry for equal in rows.values() for entry in equal]
 
 
 def _of_each_reward(entries: Sequence[Entry]) -> list[EvalConfig]:
@@ -243,70 +238,52 @@ def _tell_unlike(entries: Sequence[Entry], tell: Tell) -> None:
         )
 
 
-@dataclass
-class _Scenes:
-    """The scenes of policies, composed once for those that inherit equal settings.
+def _played(
+    entrants: Sequence[NamedPolicy], sections: Sequence[Section], tell: Tell
+) -> Iterator[list[tuple[str, EvalConfig, PolicySource]]]:
+    """Yield the scenes of each policy, composed once for those that inherit equal settings.
 
-    A controller with settings among the requests has scenes of its own. Without a terrain among
-    them, controllers play the scenes of the policies beside them, if these inherit equal settings.
+    ``tell`` is called once with each line. A controller with settings among the requests has scenes
+    of its own. Without a terrain among them, controllers play the scenes of the policies beside
+    them, if these inherit equal settings.
     """
+    printed: set[str] = set()
+    known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
 
-    entrants: Sequence[NamedPolicy]
-    sections: Sequence[Section]
-    tell: Tell
-    _told: set[str] = field(default_factory=set)
+    def once(line: str) -> None:
+        if line not in printed:
+            printed.add(line)
+            tell(line)
 
-    def entries(self) -> list[Entry]:
-        """Return each policy on its scenes."""
-        methods = [entrant.method for entrant in self.entrants]
-        several = {method for method in methods if methods.count(method) > 1}
-        return [
-            Entry(
-                *(config, source, scene, entrant.method),
-                entrant.training_seed if entrant.method in several else None,
-            )
-            for entrant, played in zip(self.entrants, self._played(), strict=True)
-            for scene, config, source in played
-        ]
-
-    def _once(self, line: str) -> None:
-        if line not in self._told:
-            self._told.add(line)
-            self.tell(line)
-
-    def _played(self) -> Iterator[list[tuple[str, EvalConfig, PolicySource]]]:
-        """Yield the scenes of each policy."""
-        known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
-        runs = {entrant: entrant.run for entrant in self.entrants if entrant.run}
-        sources = {e: load_policy(run, takes="file", tell=self._once) for e, run in runs.items()}
-        brought = {e: Inherited.of(read_config(sources[e], [], lambda text: None)) for e in sources}
-        keys = {request.path.partition(".")[0] for _, part in self.sections for request in part}
-        sets_controller = "controller" in keys
-        alike = all(former == later for former, later in pairwise(brought.values()))
-        host = next(iter(brought), None) if alike and not {"controller", "terrain"} & keys else None
-        for entrant in self.entrants:
-            maker = entrant if entrant.run or host is None else host
-            inherited = brought.get(maker)
-            source = sources.get(entrant) or load_policy(
-                entrant.controller, "--controller", "controller", fields={}
-            )
-            equal = next((configs for who, configs in known if who == inherited), None)
-            if equal is None or (sets_controller and not entrant.run):
-                composed = [
-                    (name, *scene)
-                    for name, part in self.sections
-                    for scene in scenes(part, maker.run, maker.controller, self._once)
-                ]
-                if entrant.run or not sets_controller:
-                    known.append((inherited, [(name, config) for name, config, _ in composed]))
-                if maker is entrant:
-                    yield composed
-                    continue
-                equal = known[-1][1]
-            for _, config in equal:
-                if entrant.run is not None:
-                    source.build(config)  # it raises before the first episode
-                    continue
-                for note in source.notes(config):
-                    self._once(note)
-            yield [(name, config, source) for name, config in equal]
+    sources = {e: load_policy(e.run, takes="file", tell=once) for e in entrants if e.run}
+    brought = {e: Inherited.of(read_config(sources[e], [], lambda text: None)) for e in sources}
+    keys = {request.path.partition(".")[0] for _, part in sections for request in part}
+    alike = all(former == later for former, later in pairwise(brought.values()))
+    host = next(iter(brought), None) if alike and not {"controller", "terrain"} & keys else None
+    for entrant in entrants:
+        maker = entrant if entrant.run or host is None else host
+        source = sources.get(entrant) or load_policy(
+            entrant.controller, "--controller", "controller", fields={}
+        )
+        equal = next((configs for who, configs in known if who == brought.get(maker)), None)
+        is_equal = entrant.run or "controller" not in keys
+        if equal is None or not is_equal:
+            composed = [
+                (name, *scene)
+                for name, part in sections
+                for scene in scenes(part, maker.run, maker.controller, once)
+            ]
+            if is_equal:
+                equal = [(name, config) for name, config, _ in composed]
+                known.append((brought.get(maker), equal))
+            if maker is entrant:
+                yield composed
+                continue
+            equal = known[-1][1]
+        for _, config in equal:
+            if entrant.run is not None:
+                source.build(config)  # it raises before the first episode
+                continue
+            for note in source.notes(config):
+                once(note)
+        yield [(name, config, source) for name, config in equal]
