@@ -40,7 +40,7 @@ class Random(Controller):
 
 @controller("okada")
 class Okada(Controller):
-    """Turn the front flippers along the ground ahead, the rear ones along the ground behind.
+    """Turn the front flippers along the ground ahead, the rear ones along that behind.
 
     Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the scanned
     terrain. Here each pair takes the largest angle to the inflated terrain, the rear pair a
