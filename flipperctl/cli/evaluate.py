@@ -121,8 +121,8 @@ def evaluate(
     if not names:
         raise RequestError("name a policy, as in: flipperctl eval generalist terrain=stair")
     flagged = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
-    chosen = evaluation.parse_columns(columns)
-    policies, returns = entrants(names, print_note), as_json or "return" in chosen
+    shown_columns = evaluation.parse_columns(columns)
+    policies, returns = entrants(names, print_note), as_json or "return" in shown_columns
     plan = make_plan(from_words(flagged), policies, baseline, print_note, returns=returns)
     if record is not None and any(entry.config.eval.ray is not None for entry in plan.entries):
         raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
@@ -136,7 +136,7 @@ def evaluate(
     def printed(result: Result, document: Document) -> None:
         show(
             document,
-            lambda: evaluation.print_result(result, document, chosen),
+            lambda: evaluation.print_result(result, document, shown_columns),
             as_json=as_json,
         )
 

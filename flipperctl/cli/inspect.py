@@ -163,8 +163,8 @@ def checkpoint(
         from flipperctl.testing.conventions import probe, require_conventions, table
         from flipperctl.text.show import console, print_table
 
-        own, words = source.config(), from_words(with_engine(list(overrides or [])))
-        primary = register_robot(own.robot, own.perception.layout)
+        trained, words = source.config(), from_words(with_engine(list(overrides or [])))
+        primary = register_robot(trained.robot, trained.perception.layout)
         probes = probe(compose_environment(words, primary), source)
         holds = all(measured.holds for measured in probes)
         document = {"holds": holds, "probes": [{**asdict(p), "holds": p.holds} for p in probes]}

@@ -20,12 +20,12 @@ def one_scene(words: Sequence[str] | None, command: str) -> Entry:
     names, settings = split_policies(words)
     policies = entrants(names, print_note)
     if len(policies) != 1:
-        given = ", ".join(names) or "none"
+        listed = ", ".join(names) or "none"
         raise RequestError(
             f"{command} takes one policy, as in: flipperctl {command} generalist terrain=stair; "
-            f"{given} is given"
+            f"{listed} is given"
             if len(policies) < 2
-            else f"{command} takes one policy; {given} are given"
+            else f"{command} takes one policy; {listed} are given"
         )
     (policy,) = policies
     requests = from_words(settings)

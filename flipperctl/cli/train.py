@@ -16,8 +16,22 @@ class TrainCommand(TrainingCommand):
     """The subcommand, which passes Hydra's options on."""
 
     foreign_options = (
-        *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
-        *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
+        "-m",
+        "--multirun",
+        "-c",
+        "--cfg",
+        "-p",
+        "--package",
+        "--resolve",
+        "-i",
+        "--info",
+        "-cd",
+        "--config-dir",
+        "-cn",
+        "--config-name",
+        "-cp",
+        "--config-path",
+        "--hydra-help",
     )
     context: ClassVar = {"ignore_unknown_options": True}  # Hydra's own arrive as overrides
 

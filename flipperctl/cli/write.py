@@ -103,6 +103,7 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     from flipperctl.requests.compose import register_trained
     from flipperctl.views.card import read_document
 
+    # One command for all terrains of equal words
     primary = register_trained(read_config(PolicySource(file), ["flat"], lambda line: None))
     groups: dict[tuple[tuple[str, ...], str], dict[str, None]] = {}
     for folder in results:
@@ -124,6 +125,7 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
     from flipperctl.requests.text import from_words
     from flipperctl.views.summary import compared
 
+    # The words that a user would have typed
     stored = scene["conditions"]
     options = ["--episodes", str(scene["episodes"]), "--seed", str(scene["seed"])]
     if names := [other["controller"] for other in compared(scene)]:
@@ -135,11 +137,12 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
     words += [f"{kind}={name}" for kind, name in plugins.items() if name != DEFAULT_ENGINE]
 
     def conditions(*changes: str) -> Conditions:
-        every = from_words([*words, *changes, f"terrain={scene['terrain']}"])
-        ((config, _),) = compose_eval(every, primary)
+        requests = from_words([*words, *changes, f"terrain={scene['terrain']}"])
+        ((config, _),) = compose_eval(requests, primary)
         return Conditions.of(config)
 
     try:
+        # Settings that those words miss, as long as this version has them
         changes = [
             f"{section}.{name}={json.dumps(value, separators=(',', ':'))}"
             for section, values in conditions().settings.items()
@@ -197,7 +200,7 @@ def new(
     from flipperctl.testing.scaffold import Draft, next_commands
 
     draft = Draft(kind, name)
-    made = draft.write_package(output) if package else draft.write_file(output)
-    print(f"wrote {made}; next:")
-    for command in next_commands(draft, made, package=package):
+    written = draft.write_package(output) if package else draft.write_file(output)
+    print(f"wrote {written}; next:")
+    for command in next_commands(draft, written, package=package):
         print(f"  {command}")

@@ -66,9 +66,9 @@ def recorded_robot(overrides: Sequence[str] | None) -> tuple[EnvConfig, str | No
 
     words = list(overrides or ())
     config = compose_environment(from_words(["perception=lidar", *words]))
-    given = frozenset(from_words(words).typed)
-    pose = getattr(config.perception, "pose", None) if "perception.pose" in given else None
-    return config, pose, given
+    keys = frozenset(from_words(words).typed)
+    pose = getattr(config.perception, "pose", None) if "perception.pose" in keys else None
+    return config, pose, keys
 
 
 def check(

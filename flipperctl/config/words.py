@@ -51,11 +51,13 @@ def check_words(overrides: Sequence[str]) -> None:
                 f"{word!r} is no override; write key=value, as in terrain=stair{hint}"
             )
         before = word
-    given: dict[str, str] = {}
+    first_words: dict[str, str] = {}
     for word in overrides:
-        if (key := key_of(word)) in given:
-            raise ConfigError(f"{key} is given twice: {given[key]} and {word}; one is allowed")
-        given[key] = word
+        if (key := key_of(word)) in first_words:
+            raise ConfigError(
+                f"{key} is given twice: {first_words[key]} and {word}; one is allowed"
+            )
+        first_words[key] = word
 
 
 def unreadable(word: str) -> ConfigError:
@@ -119,7 +121,7 @@ def override_text(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{','.join(map(override_text, value))}]"
     if isinstance(value, Mapping):
-        inner = ",".join(f"{key}: {override_text(one)}" for key, one in value.items())
+        inner = ",".join(f"{key}: {override_text(item)}" for key, item in value.items())
         return str(value["name"]) if "name" in value else f"{{{inner}}}"
     if isinstance(value, bool) or value is None:
         return {True: "true", False: "false", None: "null"}[value]
@@ -130,8 +132,8 @@ def with_flags(
     overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
 ) -> list[str]:
     """Return the overrides, and those of ``section`` that the given flags stand for."""
-    found = list(overrides or [])
-    keys = {key_of(override): override for override in found}
+    words = list(overrides or [])
+    keys = {key_of(override): override for override in words}
     for name, value in flags.items():
         key = f"{section}.{name}"
         if value is None:
@@ -140,8 +142,8 @@ def with_flags(
             raise RequestError(
                 f"{key} is given twice: --{name} {value} and {keys[key]}; one is allowed"
             )
-        found.append(f"{key}={value}")
-    return found
+        words.append(f"{key}={value}")
+    return words
 
 
 def with_default(overrides: list[str], key: str, value: object) -> list[str]:
@@ -151,5 +153,5 @@ def with_default(overrides: list[str], key: str, value: object) -> list[str]:
 
 def with_engine(overrides: list[str]) -> list[str]:
     """Return the overrides with ``sim=mujoco``, unless they choose an engine."""
-    chosen = any(override.lstrip("+").startswith("sim=") for override in overrides)
-    return list(overrides) if chosen else ["sim=mujoco", *overrides]
+    has_engine = any(override.lstrip("+").startswith("sim=") for override in overrides)
+    return list(overrides) if has_engine else ["sim=mujoco", *overrides]

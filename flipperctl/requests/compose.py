@@ -53,9 +53,9 @@ CONFIGS = str(resources.files("flipperctl.configs"))
 EVAL_CONTROLLER = "eval"
 """Primary configuration of an evaluation of a controller."""
 _CHECKPOINT, _EXPORT = "flipperctl_eval_trained", "flipperctl_eval_exported"
-"""Those of an evaluation of a checkpoint and of an exported file."""
+"""Primary configurations of an evaluation of a checkpoint, and of an exported file."""
 _ROBOT = "flipperctl_eval_robot"
-"""That of an evaluation of a controller with a robot that a file describes."""
+"""Primary configuration of a controller's evaluation with a robot that a file describes."""
 _TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
 Composed = TypeVar("Composed")
@@ -73,14 +73,17 @@ def register_defaults() -> None:
         # Several entries of a list may be chosen; an entry without settings adds nothing.
         package = f"{group}.{name}" if group in LISTS and node else None
         if group == Learner.kind:
+            # A learner may choose its network, and may have mappings that take new keys.
             fields = node.get(group, node)
             if fields is not node:  # it chooses its network, too
                 package = "_global_"
             for key, info in registry[group, name].model_fields.items():
                 if get_origin(info.annotation) is dict:  # it takes new keys without a +
-                    own = info.get_default(call_default_factory=True)
-                    fields[key] = OmegaConf.create(own, flags={"struct": False})
+                    default = info.get_default(call_default_factory=True)
+                    fields[key] = OmegaConf.create(default, flags={"struct": False})
         store.store(group=group, name=name, node=node, package=package)
+
+    # What no group chooses
     store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
     store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
     _registered.clear()
@@ -103,25 +106,28 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
     The sections of its training become ``conditions=trained``, unless the file lacks them.
     """
     store = ConfigStore.instance()
-    found = Inherited.of(config)
-    for group, node in found.chosen.items():
+    inherited = Inherited.of(config)
+    for group, node in inherited.chosen.items():
         store.store(group=group, name=_TRAINED, node=node)
+
+    # A checkpoint's own engine, sensor and other sections become conditions.
     primary, plugins = _EXPORT, ("sim", "perception")
-    if found.trained is not None:
-        primary, own = _CHECKPOINT, dict(found.trained)
+    if inherited.trained is not None:
+        primary, trained = _CHECKPOINT, dict(inherited.trained)
         for group in plugins:
-            store.store(group=group, name=_TRAINED, node=own.pop(group))
+            store.store(group=group, name=_TRAINED, node=trained.pop(group))
         choices = [{f"override /{group}": _TRAINED} for group in plugins]
-        node = {"defaults": choices, **_with_paths(own)}
+        node = {"defaults": choices, **_with_paths(trained)}
         store.store(group="conditions", name=TRAINED, node=node, package="_global_")
     # Later entries override earlier ones.
     defaults = [
-        *({group: _TRAINED} for group in found.chosen),
+        *({group: _TRAINED} for group in inherited.chosen),
         *({group: DEFAULT_ENGINE} for group in plugins),
-        *("_self_", {"conditions": NOMINAL}),
+        "_self_",
+        {"conditions": NOMINAL},
     ]
-    nominal = _with_paths(found.nominal)
-    store.store(name=primary, node={"defaults": defaults, **nominal, **found.kept})
+    nominal = _with_paths(inherited.nominal)
+    store.store(name=primary, node={"defaults": defaults, **nominal, **inherited.kept})
     return primary
 
 
@@ -130,8 +136,9 @@ def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str
 
     ``layout`` is its observation layout, if that differs as well. Overrides change both.
     """
-    chosen = {"override /robot": _TRAINED}
-    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_", chosen]}
+    # The robot stands in place of the default one, so that overrides still apply.
+    override = {"override /robot": _TRAINED}
+    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_", override]}
     if layout is not None:
         node["perception"] = to_dict(layout)
     store = ConfigStore.instance()
@@ -160,16 +167,17 @@ def parse_training(composed: DictConfig) -> TrainConfig:
     plain = _plain(composed)
     teacher, agent = plain.get("teacher"), plain.get("agent")
     if isinstance(teacher, dict) and isinstance(agent, dict) and "controller" in teacher:
+        # A preset of a teacher's rewards depends on the discount that shaping has.
         gamma = Request("agent.gamma", agent.get("gamma"))
-        own = with_preset(teacher["controller"], "teacher.controller", "train", gamma)
-        plain = {**plain, "teacher": {**teacher, "controller": own}}
+        settings = with_preset(teacher["controller"], "teacher.controller", "train", gamma)
+        plain = {**plain, "teacher": {**teacher, "controller": settings}}
     return parse(TrainConfig, {"logger": {}, **plain})
 
 
 def check_training_effect(config: TrainConfig, requests: Requests) -> None:
     """Refuse a change of a setting that a training samples anew for every episode.
 
-    Those of the robot have an effect: policies and evaluations assume the configured one.
+    Settings of the robot have an effect: policies and evaluations assume the configured one.
     """
     typed = requests.typed.items()
     refuse_ineffective(config, {key: word for key, word in typed if not key.startswith("robot.")})
@@ -198,7 +206,7 @@ def compose_eval(
 
 
 def compose_environment(requests: Requests, primary: str = EVAL_CONTROLLER) -> EnvConfig:
-    """Return the only configuration of an evaluation, as that of an environment."""
+    """Return the only configuration of an evaluation, as an environment's."""
     config, _ = only_one(compose_eval(requests, primary))
     return config
 
@@ -208,7 +216,7 @@ def with_preset(
 ) -> Any:
     """Return a controller's settings, with the terms of the preset if ``rewards`` is its name.
 
-    ``path``: section of the controller. ``requests``: those on which the preset depends.
+    ``path``: section of the controller. ``requests``: what the preset depends on.
     """
     name = controller.get("rewards") if isinstance(controller, dict) else None
     if not isinstance(name, str):
@@ -222,7 +230,7 @@ def with_preset(
 
 
 def group_names(group: str) -> list[str]:
-    """Return the names of a group's entries, those of plugins included."""
+    """Return the names of a group's entries, also of plugins."""
     register_defaults()
     with _initialized():
         return [name for name in _options(group) if not name.startswith("_")]
@@ -257,6 +265,7 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
 
     ``hydra``: whether it has the settings of Hydra, too.
     """
+    # Hydra applies the choices of entries; all values are merged afterwards.
     choices: list[Request] = []
     values: list[Request] = []
     for request in requests.expanded:
@@ -268,6 +277,8 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
     except ConfigCompositionException as error:
         raise errors.wrong_choice(error, choices, compose(primary)) from error
     plain: Any = OmegaConf.to_container(composed)
+
+    # In their order, so that a later request may lie within an earlier one
     for request in values:
         errors.check_key(request, composed, plain)
         if request.drops:

@@ -38,8 +38,12 @@ _OWN_CONDITIONS = (
     "(suite=FILE.yaml)"
 )
 _LAUNCHERS = {
-    **{"joblib": "joblib", "ray": "ray", "ray_aws": "ray", "rq": "rq"},
-    **{"submitit_local": "submitit", "submitit_slurm": "submitit"},
+    "joblib": "joblib",
+    "ray": "ray",
+    "ray_aws": "ray",
+    "rq": "rq",
+    "submitit_local": "submitit",
+    "submitit_slurm": "submitit",
 }
 """Launchers of Hydra that are packages of their own, hydra-NAME-launcher, by their options."""
 
@@ -80,6 +84,7 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     """Return the error for a config group that has no such entry, as in ``terrain=stiar``."""
     group, _, option = str(error.missing_cfg_file or "").rpartition("/")
     group, option = group.strip("/"), option.removesuffix(".yaml")
+    # A name with slashes was taken for a group within the group.
     choice, _, rest = group.partition("/")
     if rest and choice in CHOICES:  # a path is no name of a group: it belongs to the option
         group, option = choice, f"{rest}/{option}"
@@ -114,6 +119,7 @@ def check_key(request: Request, composed: DictConfig, plain: Mapping[str, Any]) 
     ``composed``: what Hydra composed, which knows which sections are open for new keys. ``plain``:
     the same as plain data, with the changes so far.
     """
+    # ++ is always allowed; + must add, and without a prefix nothing new may come.
     old = find(plain, request.key)
     if request.prefix == "++":
         return

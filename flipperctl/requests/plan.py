@@ -53,16 +53,21 @@ def scenes(
             its training terrain is missing and no other terrain is chosen.
         ConfigError: a request is wrong.
     """
+    # A controller takes any scene.
     if checkpoint is None:
         file = controller if controller and is_policy_file(controller) else ""
         if not file:
             resolver.get("controller", controller, "--controller")
         composed = compose_eval(Requests.of([Request("controller", controller)], requests))
-        played = [(config, PolicySource(settings=own, name=file)) for config, own in composed]
+        played = [
+            (config, PolicySource(settings=settings, name=file)) for config, settings in composed
+        ]
         notes = (note for config, source in played for note in source.notes(config))
         for note in dict.fromkeys(notes):
             tell(note)
         return played
+
+    # A trained policy has scenes of its own, on which it must fit.
     source = load_policy(checkpoint, takes="file", tell=tell)
     terrains = [combination.choice("terrain") for combination in requests.combinations()]
     trained = read_config(source, terrains, tell)
@@ -87,17 +92,20 @@ def make_plan(
 
     ``suite`` among the requests names a suite. ``baseline``: names of controllers that play the
     same episodes; None stands for the policy's own, or for ``level,okada`` beside several policies.
-    ``tell`` is called with lines on what a reader might not expect, of returns if these are shown.
+    ``tell`` is called with lines on what a reader might not expect, on returns with ``returns``.
 
     Raises:
         CheckpointError: there is no such policy, or its observation layout differs.
         ConfigError: a request, a suite or a controller is wrong.
         RequestError: a name of a baseline is wrong, or an engine is compared with itself.
     """
+    # Words that are no settings of an evaluation
     named = [request.value for request in requests if request.path == "suite"]
     suite = find_suite(str(named[0])) if named else None
     settings = Requests(tuple(request for request in requests if request.path != "suite"))
     settings, compares_engines = _split_engines(settings)
+
+    # One policy, with its own baselines
     if suite is None and len(entrants) == 1:
         (policy,) = entrants
         played = scenes(settings, policy.run, policy.controller, tell)
@@ -107,14 +115,16 @@ def make_plan(
         is_folder = policy.run is not None and policy.run.is_dir()
         title = str(policy.run) if is_folder else short(source.label())
         return Plan.of_one(_steps(entries) if compares_engines else entries, against, title)
+
+    # Several policies, or a suite: all play all scenes
     sections = [("", settings)]
     if suite is not None:
         sections = [
             _section(scene.name, from_words(scene.words), settings) for scene in suite.scenes
         ]
-    beside = standing(baseline, entrants)
+    references = standing(baseline, entrants)
     entries = _entries(
-        *(entrants, beside, sections, tell), engines=compares_engines, returns=returns
+        entrants, references, sections, tell, engines=compares_engines, returns=returns
     )
     title = ", ".join(map(short, dict.fromkeys(entrant.method for entrant in entrants)))
     title = f"suite {suite.name}: {title}" if suite else title
@@ -122,15 +132,15 @@ def make_plan(
 
 
 def _section(name: str, scene: Requests, settings: Requests) -> Section:
-    """Return a scene of a suite with the user's settings, which replace those of the same keys.
+    """Return a scene of a suite with the user's settings, which replace its own of the same keys.
 
     They are in its name, but for the terrain, which tables name by themselves.
     """
     replaced = {request.path: request.text for request in scene if request.path != "terrain"}
     changed = [r.text for r in settings if replaced.get(r.path, r.text) != r.text]
-    own = {request.path for request in settings}
-    kept = [request for request in scene if request.path not in own]
-    return " ".join([f"{name},", *changed]) if changed else name, Requests.of(kept, settings)
+    paths = {request.path for request in settings}
+    remaining = [request for request in scene if request.path not in paths]
+    return " ".join([f"{name},", *changed]) if changed else name, Requests.of(remaining, settings)
 
 
 def _split_engines(requests: Requests) -> tuple[Requests, bool]:
@@ -161,7 +171,7 @@ def _steps(entries: Sequence[Entry]) -> list[Entry]:
 
 def _entries(
     entrants: Sequence[NamedPolicy],
-    beside: Sequence[NamedPolicy],
+    references: Sequence[NamedPolicy],
     sections: Sequence[Section],
     tell: Tell,
     *,
@@ -170,7 +180,7 @@ def _entries(
 ) -> list[Entry]:
     """Return the entries of several methods or of a suite, scene by scene, each once.
 
-    The controllers ``beside`` are played once under each policy's conditions.
+    The ``references`` are played once under each policy's conditions.
     """
     rows: dict[tuple[str, str, int, int], list[Entry]] = {}
 
@@ -186,7 +196,10 @@ def _entries(
     methods = [entrant.method for entrant in entrants]
     planned = [
         Entry(
-            *(config, source, scene, entrant.method),
+            config,
+            source,
+            scene,
+            entrant.method,
             entrant.training_seed if methods.count(entrant.method) > 1 else None,
         )
         for entrant, played in zip(entrants, _played(entrants, sections, tell), strict=True)
@@ -196,18 +209,22 @@ def _entries(
         add(entry)
     _tell_unlike([entry for equal in rows.values() for entry in equal], tell)
 
-    # The controllers beside them.
+    # The references beside them.
     keys = [request.package or request.key for _, part in sections for request in part]
-    chosen = any(key.startswith("rewards") for key in keys)
-    sources = [(entrant, load_policy(entrant.controller, "--baseline")) for entrant in beside]
+    sets_rewards = any(key.startswith("rewards") for key in keys)
+    sources = [(entrant, load_policy(entrant.controller, "--baseline")) for entrant in references]
     for equal in list(rows.values()):
         configs = _of_each_reward(equal)
-        if not chosen:  # as when they are asked for by name, so that the same blocks serve
+        if not sets_rewards:  # as when they are asked for by name, so that the same blocks serve
             rewards = EvalConfig(terrain=configs[0].terrain).rewards
             configs = [configs[0].model_copy(update={"rewards": rewards})]
         for (entrant, source), config in product(sources, configs):
             add(Entry(config, source, equal[0].scene, entrant.method, is_baseline=True))
-    if returns and not chosen and any(len(_of_each_reward(equal)) > 1 for equal in rows.values()):
+    if (
+        returns
+        and not sets_rewards
+        and any(len(_of_each_reward(equal)) > 1 for equal in rows.values())
+    ):
         tell("return does not compare: the policies have different rewards; rewards=… sets one")
     return [entry for equal in rows.values() for entry in equal]
 
@@ -241,7 +258,7 @@ def _tell_unlike(entries: Sequence[Entry], tell: Tell) -> None:
 def _played(
     entrants: Sequence[NamedPolicy], sections: Sequence[Section], tell: Tell
 ) -> Iterator[list[tuple[str, EvalConfig, PolicySource]]]:
-    """Yield the scenes of each policy, composed once for those that inherit equal settings.
+    """Yield the scenes of each policy, composed once for all that inherit equal settings.
 
     ``tell`` is called once with each line. A controller with settings among the requests has scenes
     of its own. Without a terrain among them, controllers play the scenes of the policies beside
@@ -255,11 +272,14 @@ def _played(
             printed.add(line)
             tell(line)
 
+    # What each policy brings from its training, and whose scenes controllers play
     sources = {e: load_policy(e.run, takes="file", tell=once) for e in entrants if e.run}
     brought = {e: Inherited.of(read_config(sources[e], [], lambda text: None)) for e in sources}
     keys = {request.path.partition(".")[0] for _, part in sections for request in part}
     alike = all(former == later for former, later in pairwise(brought.values()))
     host = next(iter(brought), None) if alike and not {"controller", "terrain"} & keys else None
+
+    # Scenes that were composed for an equal policy are used again.
     for entrant in entrants:
         maker = entrant if entrant.run or host is None else host
         source = sources.get(entrant) or load_policy(

@@ -40,7 +40,7 @@ _KEY = re.compile(r"(\+\+|\+|~|)([^@]*)(?:@(.*))?", re.DOTALL)
 
 @dataclass(frozen=True)
 class Several:
-    """Several values of a key, of which each makes a combination."""
+    """Several values of a key, each of which makes a combination."""
 
     requests: tuple[Request, ...]
 
@@ -77,7 +77,7 @@ class Request:
 
     @property
     def text(self) -> str:
-        """The word that was typed, or the one that has the same effect."""
+        """The word that was typed, or a word that has the same effect."""
         if self.typed or (self.drops and self.value is None):
             return self.typed or self.name
         if isinstance(self.value, Several):
@@ -116,7 +116,7 @@ class Requests:
         """The requests without files and short forms.
 
         A reward term that no preset has is added. The settings in the file of a robot or of a
-        controller replace its name; those that another request sets are left to that request.
+        controller replace its name; what another request sets is left to that request.
         """
         paths = {request.path for request in self}
         return tuple(part for request in self for part in _expand(request, paths))
@@ -139,9 +139,9 @@ class Requests:
         """Keys with several values, or with an interval."""
         return [r.name for r in self if isinstance(r.value, Several | Interval)]
 
-    def where(self, chosen: Callable[[str], bool]) -> Requests:
-        """Return the requests whose key ``chosen`` accepts."""
-        return Requests(tuple(request for request in self if chosen(request.key)))
+    def where(self, accepts: Callable[[str], bool]) -> Requests:
+        """Return the requests whose key a function accepts."""
+        return Requests(tuple(request for request in self if accepts(request.key)))
 
     def choice(self, group: str) -> str | None:
         """Return the name that was chosen last for a group; None if there is none."""
@@ -179,6 +179,7 @@ class Requests:
 
     def check(self) -> None:
         """Refuse requests that would be applied without the effect that they state."""
+        # What is dropped is dropped last, and takes what another request brings with it.
         dropped = {r.key: r.text for r in self.expanded if r.drops}
         for request in self.expanded:
             value, text = request.value, request.text
@@ -195,6 +196,7 @@ class Requests:
                     f"{text}: a mapping is merged into the existing one, so that "
                     f"an empty mapping changes nothing; {drop}"
                 )
+            # Names are allowed where entries of groups are chosen.
             names = value if isinstance(value, list) else [value]
             are_names = all(isinstance(name, str) for name in names)
             if request.key == SEARCH_PATH and not (isinstance(value, list) and are_names):
@@ -216,6 +218,7 @@ class Requests:
         Sweepers sample the intervals, and the jobs check the sampled values.
         """
         self.check()
+        # Every value of every list; each combination is checked by itself.
         parts: list[tuple[Request, ...]] = []
         for request in self.expanded:
             if isinstance(request.value, Several):
@@ -237,7 +240,7 @@ class Requests:
 
 
 def _keys(key: str, value: object) -> Iterator[str]:
-    """Yield a key, and those in a mapping that is its value."""
+    """Yield a key, and the keys in a mapping that is its value."""
     yield key
     for name, inner in value.items() if isinstance(value, Mapping) else ():
         yield from _keys(f"{key}.{name}", inner)
@@ -254,6 +257,7 @@ def _expand(request: Request, paths: Collection[str]) -> Iterator[Request]:
     if request.prefix or request.package or not isinstance(value, str):
         yield request
         return
+    # A file of a robot or of a controller has settings; a term may be a new one.
     if key == "robot" and is_robot_file(value):
         if "," in value and not Path(value).exists():
             raise ConfigError(

@@ -37,6 +37,7 @@ def from_words(words: Iterable[str]) -> Requests:
 def read(words: Iterable[str]) -> Iterator[Request]:
     """Yield the request of each word, without a check of the words together."""
     words = list(words)
+    # Names of files need no quotes; Hydra reads all other words.
     files = {word: request for word in words if (request := _of_file(word)) is not None}
     others = [word for word in words if word not in files]
     try:

@@ -144,14 +144,14 @@ def train(
 ) -> Run:
     """Train a policy to the end of its budget; return its run.
 
-    ``settings`` are configuration keys: a name chooses (``terrain="stair"``,
+    ``settings`` are configuration keys. A name chooses (``terrain="stair"``,
     ``experiment="quick"``), a nested mapping (``train={"decisions": 20_000}``) or a dotted key
-    (``**{"rewards.swing.weight": 4}``) sets fields, the settings of a plugin may be an object
+    (``**{"rewards.swing.weight": 4}``) sets fields. The settings of a plugin may be an object
     (``terrain=Ridge(height=0.3)``). ``overrides``: further ones as on the command line, such as
     ``"rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
-    by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped; of the
-    settings, those of ``train``, ``device``, ``collector`` and ``logger`` alone can be given with
-    it, but for some of ``train`` that hold for a whole run. ``plugins``: files or folders of
+    by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped. With it,
+    only settings of ``train``, ``device``, ``collector`` and ``logger`` are allowed, and none of
+    ``train`` that hold for a whole run. ``plugins``: files or folders of
     plugins. ``progress``: whether progress is shown, on stderr or in the notebook.
 
     Raises:
@@ -175,12 +175,14 @@ def train(
             lambda: resume_run(run, changes, reports, check=check_resumed), [run], plugins
         )
     else:
+        # A folder that is named by the time gets a number where two begin in one second.
         config, folder = _composed(requests, directory)
         unnamed = directory is None and RUN_FOLDER not in requests.typed
         places = [folder]
         finished = _interruptible(
             lambda: start(config, folder, reports, keep_more=places.append, numbered=unnamed),
-            *(places, plugins),
+            places,
+            plugins,
         )
     if progress:
         print_best(finished)
@@ -198,7 +200,7 @@ def environment(
     """Return the environment in which ``train`` would train, for a method of your own.
 
     ``settings``, ``overrides`` and ``plugins`` are as in ``train``, presets included
-    (``rewards="paper"``); those of the training and its learner are refused. ``seed`` is that of
+    (``rewards="paper"``); settings of the training and its learner are refused. ``seed`` is for
     the first ``reset``. ``actions="rates"`` has continuous actions, ``Box(-1, 1, (2,))``.
     ``render_mode``: None, ``"rgb_array"``, or ``"human"`` for Gymnasium's window, which needs
     pygame.
@@ -275,8 +277,8 @@ class Evaluation:
     @property
     def scenes(self) -> list[Document]:
         """The results on each scene, as plain data (see ``to_dict``)."""
-        found: list[Document] = self.document["scenes"]
-        return found
+        scenes: list[Document] = self.document["scenes"]
+        return scenes
 
     @property
     def interruption(self) -> results.Interruption | None:
@@ -301,7 +303,7 @@ class Evaluation:
     def scenes_frame(self) -> DataFrame:
         """Return a row for each scene and policy: means with their 95 % intervals.
 
-        The columns are those of ``table.csv``, not rounded.
+        The columns are as in ``table.csv``, not rounded.
 
         Raises:
             MissingExtraError: pandas is not installed.
@@ -343,7 +345,7 @@ def evaluate(
 
     ``policy``: a run (``train`` returns one), a checkpoint, an exported ``.onnx`` file, the folder
     of a sweep, the name of a shipped policy or a controller, what ``load`` returned, or a function
-    from an observation, (n,) in SI units, to an action, which results call by its name; several in
+    from an observation, (n,) in SI units, to an action, which results call by its name. Several in
     a list are compared on the same episodes. ``episodes`` per scene (100), ``seed`` of the episodes
     (0), processes (``jobs``, 1). ``baselines``: controllers that play the same episodes; None takes
     those of the policy, if it has any, and an empty list none. ``passable``: references that find
@@ -367,37 +369,42 @@ def evaluate(
     show, tell = shown.episodes(progress), shown.notes(progress)
     if isinstance(policy, str) or not isinstance(policy, Sequence):
         policy = [policy]
-    found: dict[NamedPolicy, None] = {}
-    own: dict[str, object] = {}
-    for one in policy:
-        if isinstance(one, LoadedPolicy):
-            file = one.source.checkpoint
-            found[NamedPolicy(one.name, file)] = None
-            own |= {"controller": one.fields} if one.fields else {}
-        elif callable(one):
-            named = NamedPolicy(function_policy(one))
-            if named in found:
+    # Functions and loaded policies become entrants as names and paths do.
+    methods: dict[NamedPolicy, None] = {}
+    controller_fields: dict[str, object] = {}
+    for item in policy:
+        if isinstance(item, LoadedPolicy):
+            file = item.source.checkpoint
+            methods[NamedPolicy(item.name, file)] = None
+            controller_fields |= {"controller": item.fields} if item.fields else {}
+        elif callable(item):
+            named = NamedPolicy(function_policy(item))
+            if named in methods:
                 raise RequestError(
                     f"policy: two functions are called {named.method!r}; give each a name by def"
                 )
-            found[named] = None
-        elif not isinstance(one, str | os.PathLike):
+            methods[named] = None
+        elif not isinstance(item, str | os.PathLike):
             raise RequestError(
                 "policy: a name, a path, a loaded policy or a function is allowed, not a "
-                f"{type(one).__name__}; docs/own_method.md makes a function of any model"
+                f"{type(item).__name__}; docs/own_method.md makes a function of any model"
             )
         else:
-            found |= dict.fromkeys(entrants([os.fspath(one)], tell))
+            methods |= dict.fromkeys(entrants([os.fspath(item)], tell))
+
+    # The same requests as from a command line
     suite = settings.get("suite")
     if not isinstance(suite, str | os.PathLike | None):
         raise RequestError(f"suite: a name or a file is allowed; the value is {suite!r}")
     numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
-    chosen = settings | {key: number for key, number in numbers.items() if number is not None}
-    requests = Requests.of(from_values(own), requested(chosen, overrides))
-    plan = make_plan(requests, list(found), _names("baselines", baselines), tell)
+    keys = settings | {key: number for key, number in numbers.items() if number is not None}
+    requests = Requests.of(from_values(controller_fields), requested(keys, overrides))
+    plan = make_plan(requests, list(methods), _names("baselines", baselines), tell)
     for entry in plan.rows:
         check_evaluation(entry.config, entry.config.eval.jobs, entry.source.controller_name)
     files = {"folder": output, "record": record}
+
+    # An error has the result of what was played before it.
     done: list[Evaluation] = []
 
     def keep(result: results.Result, document: Document) -> None:
@@ -441,7 +448,7 @@ def plot(
 ) -> Figure:
     """Return a figure of runs, a sweep, or folders of results or of a map.
 
-    The arguments are those of ``flipperctl plot``; ``names``: methods by the names that they get,
+    The arguments are as of ``flipperctl plot``; ``names``: methods by the names that they get,
     as in ``{"AT-D3QN": "runs/first"}``. What the figure leaves out is printed on stderr.
 
     Raises:
@@ -450,7 +457,7 @@ def plot(
     from flipperctl.views.plot import Request
 
     begin(plugins)
-    asked = Request(
+    request = Request(
         [os.fspath(source) for source in sources],
         metrics=metrics,
         names=[f"{name}={method}" for name, method in (names or {}).items()],
@@ -460,7 +467,7 @@ def plot(
         episode=episode,
         width=None if width is None else drawing.length(width),
     )
-    return drawing.draw(asked, kind=kind, average=average, style=style, tell=print_note).figure
+    return drawing.draw(request, kind=kind, average=average, style=style, tell=print_note).figure
 
 
 def _names(argument: str, names: Sequence[str] | None) -> str | None:

@@ -62,8 +62,8 @@ def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: objec
     """
     begin(plugins)
     if ("controller", str(policy)) in registry or is_policy_file(str(policy)):
-        own = with_preset({"name": str(policy), **fields}, "controller")
-        return LoadedPolicy(load_policy(policy, "controller", fields=own), None, fields)
+        controller = with_preset({"name": str(policy), **fields}, "controller")
+        return LoadedPolicy(load_policy(policy, "controller", fields=controller), None, fields)
     source = load_policy(policy, "policy", tell=print_note)
     if fields:
         raise RequestError(
@@ -84,11 +84,11 @@ class _FunctionController(Controller):
     @public
     def act(self, p: Perception) -> Any:
         """Return what the function returns for the observation."""
-        found = type(self).function(p.observation)
+        returned = type(self).function(p.observation)
         try:
-            return operator.index(cast("SupportsIndex", found))
+            return operator.index(cast("SupportsIndex", returned))
         except TypeError:  # rates, or nothing that is an action
-            return found
+            return returned
 
 
 def function_policy(function: Function) -> str:
@@ -156,16 +156,19 @@ class LoadedPolicy:
     """A policy to call; ``flipperctl.load`` returns it."""
 
     def __init__(
-        self, source: PolicySource, own: EnvConfig | None = None, fields: Mapping[str, object] = {}
+        self,
+        source: PolicySource,
+        trained: EnvConfig | None = None,
+        fields: Mapping[str, object] = {},
     ) -> None:
-        """``own``: the environment that a file describes; ``fields``: those of a controller."""
+        """``trained``: the environment that a file describes; ``fields``: of a controller."""
         self.source = source
         self.fields = dict(fields)
         self._policy: Policy | None = None
         self._config: EnvConfig | None = None
         self._recent: deque[NDArray[np.float32]] = deque(maxlen=MAX_HISTORY)
-        if own is not None:
-            self._build(own)
+        if trained is not None:
+            self._build(trained)
 
     def __repr__(self) -> str:
         return f"LoadedPolicy({self.name!r})"
@@ -256,11 +259,11 @@ class LoadedPolicy:
             print_note(note)
         self._policy, self._config = self.source.build(config), config
 
-    def _observing(self, given: str) -> FilePolicy:
+    def _observing(self, inputs: str) -> FilePolicy:
         if self.source.checkpoint is not None:
             return cast("FilePolicy", self._policy)
         raise RequestError(
-            f"{self.name} is a controller, which may need more than {given}: points of the ground "
+            f"{self.name} is a controller, which may need more than {inputs}: points of the ground "
             "or a simulator. Begin its episodes with reset(env), and call "
             "act(env.unwrapped.perception)"
         )

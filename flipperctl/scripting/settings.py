@@ -103,12 +103,14 @@ def _check(
 ) -> None:
     # Every measure is taken, whether a configuration names it or not.
     classes = [cls for (kind, _), cls in registry.items() if kind == Measure.kind]
-    own = [config.terrain, config.sim, config.perception, *config.rewards.values()]
-    for one in [*own, *others]:
-        if isinstance(one, Plugin):
-            classes += [type(part) for part in resolver.nested_plugins(one)]
-        elif one is not None:
-            classes.append(one)
+    plugins = [config.terrain, config.sim, config.perception, *config.rewards.values()]
+    for item in [*plugins, *others]:
+        if isinstance(item, Plugin):
+            classes += [type(part) for part in resolver.nested_plugins(item)]
+        elif item is not None:
+            classes.append(item)
+
+    # A script or notebook is not there for a worker process.
     for cls in classes:
         if cls.__module__ == "__main__":
             raise PluginError(

@@ -84,17 +84,20 @@ def train(arguments: list[str], *, check: bool) -> None:
     """
     register_defaults()
     register_sweepers()
-    chosen = vars(_Options().parse_intermixed_args(arguments))  # options may stand between words
-    requests = from_words(chosen["overrides"])
-    several = _several(chosen, requests)
-    options = [(_typed(name), value) for name in _VALUED if (value := chosen[name])]
+    # Hydra gets words that are known to be good, unless options bring files of the user's.
+    parsed = vars(_Options().parse_intermixed_args(arguments))  # options may stand between words
+    requests = from_words(parsed["overrides"])
+    several = _several(parsed, requests)
+    options = [(_typed(name), value) for name in _VALUED if (value := parsed[name])]
     # They may add other configuration files; then each job checks its own.
     checked = check and not options
     requests.check_training(several=several or bool(options))
     if checked:
         _check(requests)
-    flags = [_typed(name) for name in _FLAGS if chosen[name]]
+    flags = [_typed(name) for name in _FLAGS if parsed[name]]
     words = [*(word for option in options for word in option), *flags, *requests.words]
+
+    # The error of a single run is kept from Hydra.
     errors: list[BaseException] = []
     job = _Job(_CommandProcess.current(), checked)
 
@@ -110,6 +113,7 @@ def train(arguments: list[str], *, check: bool) -> None:
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
 
+    # Hydra reads its words from sys.argv alone.
     application = hydra.main(CONFIGS, "train", version_base="1.3")(task)
     previous_argv, sys.argv = sys.argv, ["flipperctl train", *words]
     try:
@@ -117,7 +121,7 @@ def train(arguments: list[str], *, check: bool) -> None:
         # import from the working directory, where a user's random.py may lie.
         environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
         with convert_hydra_errors(), preset_folders(), env_override(environment):
-            _show(application) if chosen["cfg"] else application()
+            _show(application) if parsed["cfg"] else application()
         if errors:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
@@ -149,7 +153,7 @@ def _show(application: Callable[[], object]) -> None:
     sys.stderr.write(said.getvalue())
 
 
-def _several(chosen: Mapping[str, Any], requests: Requests) -> bool:
+def _several(parsed: Mapping[str, Any], requests: Requests) -> bool:
     """Return whether the command makes several runs: by its option, or by Hydra's setting.
 
     Options that do not go together, on which Hydra fails, are refused.
@@ -158,10 +162,12 @@ def _several(chosen: Mapping[str, Any], requests: Requests) -> bool:
     mode = requests.choice("hydra.mode")
     if mode is not None and mode not in modes:
         raise ConfigError(f"hydra.mode: {' or '.join(modes)} is allowed; the value is {mode}")
-    if chosen["multirun"] and mode == RunMode.RUN.name:
+    if parsed["multirun"] and mode == RunMode.RUN.name:
         raise ConfigError(f"hydra.mode={mode}: no meaning beside --multirun; leave it out")
-    several = chosen["multirun"] or mode == RunMode.MULTIRUN.name
-    shown = [f"--{name}" for name in ("cfg", "info") if chosen[name]]
+    several = parsed["multirun"] or mode == RunMode.MULTIRUN.name
+
+    # What Hydra shows is of one configuration.
+    shown = [f"--{name}" for name in ("cfg", "info") if parsed[name]]
     if shown and (several or requests.swept):
         raise ConfigError(
             f"{shown[0]}: it shows one configuration; leave --multirun out, and give one value of "
@@ -170,17 +176,17 @@ def _several(chosen: Mapping[str, Any], requests: Requests) -> bool:
     if len(shown) > 1:
         raise ConfigError(f"{shown[1]}: no meaning beside {shown[0]}; leave one out")
     for name in ("resolve", "package"):
-        if chosen[name] and not chosen["cfg"]:
+        if parsed[name] and not parsed["cfg"]:
             raise ConfigError(f"--{name}: no meaning without --cfg")
     return bool(several)
 
 
 def _check(requests: Requests) -> None:
     """Refuse a wrong request before Hydra creates a directory."""
-    own = requests.where(lambda key: not key.startswith("hydra") or key == SEARCH_PATH)
+    settings = requests.where(lambda key: not key.startswith("hydra") or key == SEARCH_PATH)
     # pymunk swallows a KeyboardInterrupt that is raised while it frees a body.
     with interrupts("stopping …") as stop:
-        for probe in (own, *own.interval_probes()):
+        for probe in (settings, *settings.interval_probes()):
             for config in compose_train(probe):
                 if not stop():
                     training_run.check(config)
@@ -195,7 +201,7 @@ class _CommandProcess:
     code: Statement
     """What it computes with, its plugins included."""
     typed: list[str]
-    """Those among them that ``--plugins`` named."""
+    """Plugins that ``--plugins`` named."""
     folder: Path
     """Working directory, which is another one in a worker of a running cluster."""
     holder: tuple[str, int]
@@ -246,6 +252,7 @@ class _Job:
         directory = Path(settings.runtime.output_dir)
         keep = partial(_keep, composed)
         if settings.mode is RunMode.MULTIRUN:
+            # A job of a sweep stops with the command, and goes on where it stopped.
             stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
                 raise InterruptedRunError(f"{directory.name} was not started")
@@ -253,8 +260,8 @@ class _Job:
                 config, directory, reports(), keep_more=partial(keep, directory), stop=stop
             )
         else:
-            own: Any = HydraConfig.instance().cfg
-            numbered = named_by_time(own, "run")
+            hydra: Any = HydraConfig.instance().cfg
+            numbered = named_by_time(hydra, "run")
             run = training_run.start(
                 config, directory, reports(), keep_more=keep, numbered=numbered
             )

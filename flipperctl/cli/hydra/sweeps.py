@@ -1,10 +1,10 @@
 """Sweeps, whose jobs are the combinations of lists, and searches, whose trials Optuna proposes.
 
-In: overrides, of which some are lists, ``interval(…)`` or ``tag(log,interval(…))``. Out: a run
-directory for each combination or trial, named after it, and a table that compares the runs. Any
-launcher of Hydra can train them; that of Ray cannot join a running cluster by itself, since it
-requests an object store of its own size, which Ray refuses then (hydra-ray-launcher 1.2), but uses
-an existing connection.
+In: overrides, some of them lists, ``interval(…)`` or ``tag(log,interval(…))``. Out: a run directory
+for each combination or trial, named after it, and a table that compares the runs. Any launcher of
+Hydra can train them. Ray's launcher (hydra-ray-launcher 1.2) cannot join a running cluster by
+itself: it requests an object store of its own size, which Ray refuses then. It uses an existing
+connection.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def connect(launcher: Launcher) -> None:
     module = sys.modules.get(_MODULE)
     if module is None or not isinstance(launcher, module.RayLauncher) or is_connected():
         return
-    found: Any = launcher
-    settings: Any = OmegaConf.to_container(found.ray_cfg.init, resolve=True)
+    ray: Any = launcher
+    settings: Any = OmegaConf.to_container(ray.ray_cfg.init, resolve=True)
     address = settings.pop("address", None)
     if address == "local":
         settings.setdefault("object_store_memory", _OBJECT_STORE)
@@ -142,17 +142,18 @@ def job_result(job: JobReturn) -> JobResult:
             return JobResult(folder, None, error)
 
 
-def list_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]], None]:
+def list_sweep(settings: Mapping[str, Any], **arguments: Any) -> Callable[[list[str]], None]:
     """Return a sweep over lists, with named folders and a table at the end.
 
-    ``settings`` are those of Hydra's basic sweeper, and ``given`` what its ``setup`` takes. The
-    returned function trains every combination, or continues those of an earlier start in the same
-    folder.
+    ``settings`` are as of Hydra's basic sweeper, and ``arguments`` what its ``setup`` takes. The
+    returned function trains every combination, or continues what an earlier start in the same
+    folder began.
     """
-    config = given["config"]
-    jobs = launched_by(Plugins.instance().instantiate_launcher(**given), config)
+    config = arguments["config"]
+    jobs = launched_by(Plugins.instance().instantiate_launcher(**arguments), config)
 
     def run(arguments: list[str]) -> None:
+        # Every combination of the words, and of the sweeper's own parameters
         params = settings["params"] or {}
         words = [*(f"{key}={value}" for key, value in params.items()), *arguments]
         requests = Requests(tuple(read(words)))
@@ -160,6 +161,8 @@ def list_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]
         if intervals := [r.name for r in requests if isinstance(r.value, Interval)]:
             raise ConfigError(f"{intervals[0]}: an interval is searched by hydra/sweeper=optuna")
         combinations = [combination.words for combination in requests.combinations()]
+
+        # One process trains a sweep's folder at a time.
         with jobs.held():
             with read_write(config.hydra.sweep):
                 config.hydra.sweep.dir = str(jobs.folder)
@@ -206,13 +209,16 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     """
     if not runs:
         return
+    # Runs by all swept values but the seed
     keys = list(dict.fromkeys(key for run in runs for key in run.swept))
     methods: dict[tuple[str, ...], list[SweepRun]] = {}
     for run in runs:
-        own = [run.swept.get(key, "") for key in keys if key != "seed"]
-        methods.setdefault(tuple(own), []).append(run)
+        values = [run.swept.get(key, "") for key in keys if key != "seed"]
+        methods.setdefault(tuple(values), []).append(run)
     if pooled := len(methods) < len(runs):
         keys = [key for key in keys if key != "seed"]
+
+    # As many rows as a terminal shows well
     columns = [*(Column(f"swept {key}", key, named=True) for key in keys), *_COLUMNS]
     shown = [*methods.values()] if pooled else [[run] for run in runs]
     rows = [
@@ -227,22 +233,22 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     print_lines(out, [text])
 
 
-def search_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]], None]:
+def search_sweep(settings: Mapping[str, Any], **arguments: Any) -> Callable[[list[str]], None]:
     """Return a search whose trials are jobs of Hydra: ``hydra/sweeper=optuna``.
 
-    ``settings`` are the section ``hydra.sweeper``, and ``given`` what a sweeper's ``setup`` takes.
+    ``settings`` are the section ``hydra.sweeper``; ``arguments`` are what its ``setup`` takes.
     Hydra's own plugin, hydra-optuna-sweeper 1.3, needs Optuna 2, whose storage fails with
     SQLAlchemy 2, and repeats every trial after a restart.
     """
     checked = check_settings(settings)
-    jobs = launched_by(Plugins.instance().instantiate_launcher(**given), given["config"])
+    jobs = launched_by(Plugins.instance().instantiate_launcher(**arguments), arguments["config"])
 
     def run(arguments: list[str]) -> None:
         swept, fixed = sampled(Requests(tuple(read(arguments))))
         check_objective(swept, fixed)
-        if found := [key for key in swept if _setting(key).split(".")[0] in _TASK]:
+        if tasks := [key for key in swept if _setting(key).split(".")[0] in _TASK]:
             print_note(
-                f"note: {', '.join(found)} change what a training is judged on; the best trial may "
+                f"note: {', '.join(tasks)} change what a training is judged on; the best trial may "
                 "be the easiest"
             )
         search(checked, jobs, arguments, swept, fixed, tell=print_note)
@@ -270,6 +276,8 @@ def check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Sequ
         setting = _setting(key)
         if setting == "train.best_by" or setting.startswith("train.validation_"):
             raise ConfigError(f"{key}: a search has one objective; one value is allowed")
+
+    # Trials may differ in rewards only if success judges them.
     paying = [key for key in sampled if _setting(key).split(".")[0] == "rewards"]
     words = [word for word in fixed if not (paying and _setting(word).startswith("rewards."))]
     lists = {key: values for key, values in sampled.items() if not isinstance(values, Interval)}
@@ -278,8 +286,8 @@ def check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Sequ
     objectives: dict[bool, str] = {}
     for experiment in lists.get(_EXPERIMENT, [None]):
         choice = [] if experiment is None else [f"{_EXPERIMENT}={experiment}"]
-        for one in compose_train(from_words([*words, *first, *choice])):
-            objectives.setdefault(one.train.best_by == "return", " ".join(choice))
+        for config in compose_train(from_words([*words, *first, *choice])):
+            objectives.setdefault(config.train.best_by == "return", " ".join(choice))
     if paying and True in objectives:
         raise ConfigError(
             f"{paying[0]}: a search by returns (train.best_by=return) would find the rewards that "
