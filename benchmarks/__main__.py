@@ -41,7 +41,7 @@ change nothing there.
   python -m benchmarks solve bench.seeds=3 bench.limit=300 terrain=step --output speed
 """
 
-app = App(pretty_exceptions_enable=False, add_completion=False)
+app = App(add_completion=False)
 
 
 @app.command(help=HELP, cls=TrainingCommand)

@@ -275,7 +275,13 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
     except MissingConfigException as error:
         raise errors.missing_choice(error) from error
     except ConfigCompositionException as error:
-        raise errors.wrong_choice(error, choices, compose(primary)) from error
+        # What an addition may repeat: the entries that are chosen beside it
+        present = [r.text for r in choices if not r.prefix and r.package is None]
+        try:
+            without = compose(primary, present)
+        except ConfigCompositionException:
+            without = compose(primary)
+        raise errors.wrong_choice(error, choices, without) from error
     plain: Any = OmegaConf.to_container(composed)
 
     # In their order, so that a later request may lie within an earlier one

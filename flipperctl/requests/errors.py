@@ -103,13 +103,18 @@ def missing_choice(error: MissingConfigException) -> RequestError:
 def wrong_choice(
     error: ConfigCompositionException, choices: Iterable[Request], composed: DictConfig
 ) -> ConfigError:
-    """Return the error for a group that the configuration, ``composed`` without it, has not."""
+    """Return the error for a choice that does not fit the configuration, ``composed`` without it.
+
+    A group must be there, unless the choice adds it.
+    """
     node: Any = OmegaConf.to_container(composed)
     for request in choices:
-        if find(node, request.package or request.key) is MISSING and not request.key.startswith(
-            "hydra"
-        ):
-            return ConfigError(_unknown(request.package or request.key, node))
+        key = request.package or request.key
+        present = find(node, key) is not MISSING
+        if present and request.prefix == "+":
+            return ConfigError(f"{key} exists already; write {request.text.removeprefix('+')}")
+        if not (present or request.prefix or key.startswith("hydra")):
+            return ConfigError(_unknown(key, node))
     return ConfigError(_one_line(error))
 
 

@@ -76,8 +76,8 @@ def test_presets_teach_with_the_hand_set_cost_and_the_generalist_s_with_values()
 
 def test_a_name_beside_another_policy_is_the_hand_set_cost() -> None:
     (baseline,) = plan.controllers("mpc", "--baseline")
-    compared = plan.policies("level,mpc", {}, print)["mpc"]
-    valued = plan.policies("level,mpc", {"value": "mpc_value"}, print)["mpc"]
+    compared = plan.policies(["level,mpc"], {}, print)["mpc"]
+    valued = plan.policies(["level,mpc"], {"value": "mpc_value"}, print)["mpc"]
     assert baseline == compared
     assert built(baseline.settings) is MpcPolicy
     assert built(valued.settings) is ReturnPolicy
