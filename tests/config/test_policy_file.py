@@ -67,7 +67,7 @@ def test_what_no_search_wrote_is_refused(tmp_path: Path, old: str, new: str, err
     (file := tmp_path / "mine.yaml").write_text(FOUND.text().replace(old, new, 1))
     with pytest.raises(ConfigError, match=error):
         load_policy(file)
-    with pytest.raises(CheckpointError, match="greedy.policy: .* sets a controller; a trained"):
+    with pytest.raises(CheckpointError, match=r"greedy.policy: .* sets a controller; a trained"):
         load_policy(file, "greedy.policy", "file")
     with pytest.raises(ConfigError, match=r"absent.yaml cannot be read: No such file"):
         load_policy("absent.yaml")
