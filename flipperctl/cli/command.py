@@ -56,9 +56,9 @@ class Command(TyperCommand):
         if values.get("help"):
             return
         for option in single:
-            given: list[str] = values.get(option.name) or []
-            if len(given) > 1:
-                name, first, second = option.opts[0], given[0], given[1]
+            repeated: list[str] = values.get(option.name) or []
+            if len(repeated) > 1:
+                name, first, second = option.opts[0], repeated[0], repeated[1]
                 text = f"{name} is given twice: {first} and {second}; one is allowed"
                 if option.metavar == "NAMES":
                     text += f"; several names are written as {name} {first},{second}"

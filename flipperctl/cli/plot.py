@@ -95,17 +95,17 @@ def plot(
         check_output(output, PICTURE)
     path = output or Path(f"{kind or kind_of(sources)}.pdf")
     check_output(path, PICTURE)
-    asked = Request(
+    request = Request(
         sources, metrics=_names(metric), names=name or (), only=only or (), against=against,
         scene=scene, episode=episode, width=None if width is None else length(width),
     )  # fmt: skip
-    drawn = draw(asked, kind=kind, average=average, style=style, tell=print_note)
-    given = {
+    drawn = draw(request, kind=kind, average=average, style=style, tell=print_note)
+    options_typed = {
         "--kind": kind, "--name": name, "--only": only, "--metric": metric, "--scene": scene,
         "--episode": episode, "--against": against, "--width": width,
     }  # fmt: skip
     typed: list[str] = []
-    for option, value in given.items():
+    for option, value in options_typed.items():
         for part in value if isinstance(value, list) else [value] if value is not None else []:
             typed += [option, str(part)]
     about = [session.command("plot", *sources, *typed), *drawn.sources]

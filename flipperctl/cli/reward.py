@@ -201,7 +201,7 @@ def controller_fields(requests: Requests) -> tuple[dict[str, Any], Requests]:
         raise RequestError(
             "controller: the policies are named by words, as in level okada; leave the override out"
         )
-    own = requests.where(lambda key: key.startswith(_FIELD)).values()
+    term_fields = requests.where(lambda key: key.startswith(_FIELD)).values()
     others = requests.where(lambda key: not key.startswith(_FIELD))
-    fields = {key.removeprefix(_FIELD): value for key, value in own.items()}
+    fields = {key.removeprefix(_FIELD): value for key, value in term_fields.items()}
     return with_preset(fields, "controller"), others

@@ -204,10 +204,10 @@ class Inherited:
         layout = {name: sections["perception"][name] for name in ObservationLayout.model_fields}
         # What overrides replace as a whole, and what stays in all conditions
         chosen = {name: sections.pop(name) for name in ("terrain", "robot", "rewards")}
-        kept = {"perception": layout, "eval": to_dict(config.eval)}
+        always = {"perception": layout, "eval": to_dict(config.eval)}
         default = to_dict(EvalConfig(terrain=config.terrain))
         nominal = {name: default[name] for name in sections if name not in ("sim", "perception")}
-        return cls(chosen, kept, nominal, sections if isinstance(config, TrainConfig) else None)
+        return cls(chosen, always, nominal, sections if isinstance(config, TrainConfig) else None)
 
 
 def read_config(

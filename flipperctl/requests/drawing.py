@@ -55,7 +55,7 @@ class Drawn:
 
 
 def draw(
-    asked: Request,
+    request: Request,
     *,
     kind: str | None = None,
     average: str = "mean",
@@ -71,7 +71,7 @@ def draw(
     """
     from flipperctl.figures.figure import SLIDE, styled
 
-    sources = asked.folders
+    sources = request.folders
     if not sources:
         raise RequestError(f"nothing is named to draw; allowed: {', '.join(_FROM.values())}")
     kind = kind or kind_of(sources)
@@ -85,20 +85,20 @@ def draw(
             )
     _known("--style", style, ["paper", "slides"])
     _known("--average", average, ["mean", "iqm"])
-    options = {"--against": asked.against, "--scene": asked.scene, "--episode": asked.episode}
+    options = {"--against": request.against, "--scene": request.scene, "--episode": request.episode}
     for option, value in options.items():
         if value is not None and kind not in (kinds := _OWN[option]):
             raise RequestError(
                 f"{option}: it has a meaning for --kind {' and '.join(kinds)} alone, not {kind}"
             )
-    if asked.width is None and style == "slides":
-        asked = replace(asked, width=SLIDE)
+    if request.width is None and style == "slides":
+        request = replace(request, width=SLIDE)
     with styled("slides" if style == "slides" else "paper"):
         if kind == "curves":
-            return _curves(asked, "iqm" if average == "iqm" else "mean", tell)
+            return _curves(request, "iqm" if average == "iqm" else "mean", tell)
         if kind == "map":
-            return _map(asked)
-        return _results(asked, kind, tell)
+            return _map(request)
+        return _results(request, kind, tell)
 
 
 def _known(option: str, value: str, known: Sequence[str]) -> None:
@@ -161,7 +161,9 @@ def _digest(*files: Path) -> tuple[str, ...]:
     return tuple(f"{file} (SHA-256 {(content_digest(file) or '')[:12]})" for file in files)
 
 
-def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str], None]) -> Drawn:
+def _curves(
+    request: Request, average: Literal["mean", "iqm"], tell: Callable[[str], None]
+) -> Drawn:
     from flipperctl.checkpoint.results import METRICS, holds_run, is_held
     from flipperctl.evaluation.names import renamed, taken
     from flipperctl.evaluation.plan import entrants
@@ -170,7 +172,7 @@ def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str
 
     runs: dict[str, list[Path]] = {}
     names: dict[str, str] = {}  # names that the user gave with the paths
-    for source in asked.folders:
+    for source in request.folders:
         path = _path(source)
         named = str(path) != source
         if holds_run(path) or (path / METRICS).is_file():
@@ -189,19 +191,19 @@ def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str
             name = source.removesuffix(f"={path}") if named else method
             names |= {name: name} if named else {}
             runs.setdefault(name, []).extend(m for m in members if m not in runs.get(name, ()))
-    free = renamed([name for name in runs if name not in names], asked.names)
+    free = renamed([name for name in runs if name not in names], request.names)
     called = {name: names.get(name) or free[name] for name in runs}
-    if asked.only:
+    if request.only:
         called = {
-            label: called[label] for label in (taken(o, called, "--only") for o in asked.only)
+            label: called[label] for label in (taken(o, called, "--only") for o in request.only)
         }
     runs = {name: runs[name] for name in called}
     rows = {called[name]: [[*chain(*read_run(run))] for run in each] for name, each in runs.items()}
     for run in (run for each in runs.values() for run in each):
         if is_held(run):
             tell(f"{run} is still training; it is drawn as far as it is")
-    metrics = asked.metrics or curves.METRICS
-    figure = curves.curves_figure(rows, metrics, average=average, **asked.sized())
+    metrics = request.metrics or curves.METRICS
+    figure = curves.curves_figure(rows, metrics, average=average, **request.sized())
     if max(map(len, rows.values())) > 1 or len(rows) > 1:
         of = "validations" if curves.uses_validations(rows) else (
             f"training episodes, each point a mean of {curves.window(rows)}, since a run has fewer "
@@ -216,25 +218,25 @@ def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str
     return Drawn(figure, _digest(*files))
 
 
-def _map(asked: Request) -> Drawn:
+def _map(request: Request) -> Drawn:
     from flipperctl.figures.map import map_figure
 
-    if len(asked.folders) > 1 or asked.metrics or asked.names:
+    if len(request.folders) > 1 or request.metrics or request.names:
         raise RequestError("--kind map: it takes one folder, without --metric and --name")
-    file = _path(asked.folders[0]) / "map.json"
+    file = _path(request.folders[0]) / "map.json"
     try:
-        figure = map_figure(json.loads(file.read_text(encoding="utf-8")), **asked.sized())
+        figure = map_figure(json.loads(file.read_text(encoding="utf-8")), **request.sized())
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise RequestError(f"{file}: it is damaged, or no map: {error}") from error
     return Drawn(figure, _digest(file))
 
 
-def _results(asked: Request, kind: str, tell: Callable[[str], None]) -> Drawn:
+def _results(request: Request, kind: str, tell: Callable[[str], None]) -> Drawn:
     from flipperctl.evaluation.stored import FILE
     from flipperctl.views import plot as view
 
-    figure, notices = view.KINDS[kind](asked)
+    figure, notices = view.KINDS[kind](request)
     for notice in notices:
         tell(f"warning: {notice}")
-    groups = [sorted({*path.glob(FILE), *path.glob(f"*/{FILE}")}) for path in asked.paths()]
+    groups = [sorted({*path.glob(FILE), *path.glob(f"*/{FILE}")}) for path in request.paths()]
     return Drawn(figure, _digest(*(file for files in groups for file in files)))
