@@ -17,6 +17,7 @@ from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import NOT_A_POLICYS, Player, Progress, no_progress
 from flipperctl.evaluation.rows import Episodes, reached
 from flipperctl.evaluation.store import EpisodeStore
+from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 
 _SHOWN = 12  # largest number of scenes that the sentence on an interruption names
@@ -28,6 +29,8 @@ class Played:
 
     entry: Entry
     episodes: Episodes
+    policy: PolicyIdentity | None = None
+    """The policy as it was when it played; None for stored episodes of another one."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,7 @@ def evaluate(
             if rows and (plan.has_methods or not entry.is_baseline):
                 rows = scene.with_references(scene.with_causes(rows), plan, references)
             if rows:
-                results.append(Played(entry, rows))
+                results.append(Played(entry, rows, player.identity(entry.source)))
     # Policies that fail are listed; nothing but failures is an error.
     if failures and all(result.entry.is_baseline for result in results):
         raise failures[0].error

@@ -202,11 +202,15 @@ class Player:
 
     def key(self, config: EvalConfig, source: PolicySource) -> StoreKey:
         """Return the key of a policy's episodes under a configuration."""
+        return StoreKey.of(config, self.identity(source))
+
+    def identity(self, source: PolicySource) -> PolicyIdentity:
+        """Return the identity that a policy had when it was first asked for."""
         known = next((identity for who, identity in self._identities if who == source), None)
         if known is None:
             known = PolicyIdentity.of(source)
             self._identities.append((source, known))
-        return StoreKey.of(config, known)
+        return known
 
     def missing(self, config: EvalConfig, source: PolicySource) -> list[list[int]]:
         """Return the blocks of the evaluation that the store lacks, as indices of episodes."""

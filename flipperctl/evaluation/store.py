@@ -294,18 +294,6 @@ class FolderStore(EpisodeStore):
                 self.other_versions[f"{package} {played_with}"] += 1
 
 
-@dataclass(frozen=True)
-class PlayedPolicy:
-    """The policy that played the stored blocks of one label."""
-
-    digest: str
-    """SHA-256 of its weights or settings."""
-    training_seed: int | None
-    """Seed of its training; None for a rule."""
-    training: Mapping[str, Any] | None = field(default=None, compare=False)
-    """Settings in which the trainings of its method agree; None for a rule or an exported file."""
-
-
 def headers(folder: Path) -> Iterator[dict[str, Any]]:
     """Yield the header of each block in a folder; damaged files are left out."""
     for file in sorted(folder.glob(f"*{_BLOCK}")):
@@ -318,13 +306,12 @@ def headers(folder: Path) -> Iterator[dict[str, Any]]:
             continue  # an evaluation says so
 
 
-def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
-    """Return the policies whose blocks lie in a folder, by label and hash of the conditions."""
-    policies: dict[tuple[str, str], set[PlayedPolicy]] = {}
+def played_policies(folder: Path) -> dict[tuple[str, str], set[str]]:
+    """Return the digests of the policies of a folder's blocks, by label and conditions' hash."""
+    policies: dict[tuple[str, str], set[str]] = {}
     for header in headers(folder):
         key = header["controller"], header["conditions_hash"]
-        policy = PlayedPolicy(header["policy"], header["training_seed"], header.get("training"))
-        policies.setdefault(key, set()).add(policy)
+        policies.setdefault(key, set()).add(header["policy"])
     return policies
 
 

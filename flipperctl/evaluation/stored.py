@@ -6,11 +6,10 @@ methods with the episodes that all of them played.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,80 +18,34 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import SeedSamples
-from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
-from flipperctl.policies.identity import unlike_trainings
-from flipperctl.text.files import read_csv
+from flipperctl.text.files import CsvRow, read_csv
 
 FILE, SUMMARY = "episodes.csv", "summary.json"
 _KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
 
-Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
+Episodes = dict[str, dict[str, tuple[float, bool]]]
 """Of one policy: measure and whether the finish was reached, by scene and the episode's seed."""
-
-
-def _policies(path: Path, measure: str) -> dict[str, Episodes]:
-    """Return the episodes of each policy of a file, the evaluated one before its baselines."""
-    policies: dict[str, dict[str, dict[str, tuple[float, bool]]]] = {}
-    for row in read_csv(path, (*_KEYS, measure)):
-        label, scene = row["controller"], f"{row['scene']} {row['conditions_hash']}"
-        if is_best_known(label):
-            continue  # it stands only where it beats all others
-        value = row.number(measure), row["outcome"] == Outcome.REACHED
-        if not np.isfinite(value[0]):
-            raise row.refusal(measure, "a finite number is allowed")
-        played = policies.setdefault(label, {}).setdefault(scene, {})
-        if played.setdefault(row["seed"], value) != value:
-            raise RequestError(
-                f"{row.where}: {label} has several results on {scene}, seed {row['seed']}, as with "
-                "several of its settings; a folder of eval --output for each of them, named as in "
-                "METHOD=DIR, is allowed"
-            )
-    if not policies:
-        raise RequestError(f"{path}: there is no episode in it")
-    return dict(policies)
-
-
-def _methods(folder: Path) -> dict[str, str]:
-    """Return the method of each policy, by label, where one evaluation had several of its seeds."""
-    labels: dict[str, set[str]] = {}
-    try:
-        for scene in json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]:
-            if method := scene.get("method"):
-                labels.setdefault(method, set()).add(scene["controller"])
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return {}  # the episodes alone are needed
-    return {
-        label: name
-        for name, method_labels in labels.items()
-        if len(method_labels) > 1
-        for label in method_labels
-    }
 
 
 @dataclass(frozen=True)
 class _Run:
-    """The episodes of one policy of a folder; without cells, the last three are empty."""
+    """The episodes of one policy of a folder."""
 
     folder: Path
     """The first of its folders."""
+    method: str
+    """Its method, if the folder has several training seeds of it; else empty."""
+    is_rule: bool
     episodes: Episodes
     digests: frozenset[str]
-    """Digests of its weights or settings."""
-    training_seed: int | None
-    """Seed of its training; None of a rule, too."""
-    training: Mapping[str, Any] | None
-    """Settings of its training, if its cells have them."""
-
-    @classmethod
-    def of(cls, folder: Path, episodes: Episodes, cells: Collection[PlayedPolicy]) -> _Run:
-        """Return the run of a policy whose cells these are."""
-        seeds = {cell.training_seed for cell in cells}
-        digests = frozenset(cell.digest for cell in cells)
-        training = next((cell.training for cell in cells if cell.training is not None), None)
-        return cls(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None, training)
+    """Digests of its weights or settings; none in a table of before version 0.3."""
+    training_seed: str
+    """Seed of its training; empty if it is unknown, or for a rule."""
+    training: str
+    """Digest of the settings of its training; empty for a rule or an exported file."""
 
     def is_of(self, other: _Run) -> bool:
-        """Return whether another run is of the same policy; without cells, by its episodes."""
+        """Return whether another run is of the same policy; without digests, by its episodes."""
         if self.digests and other.digests:
             return not self.digests.isdisjoint(other.digests)
         return self.episodes == other.episodes
@@ -110,6 +63,44 @@ class _Run:
         scenes = dict.fromkeys([*self.episodes, *other.episodes])
         episodes = {s: {**self.episodes.get(s, {}), **other.episodes.get(s, {})} for s in scenes}
         return replace(self, episodes=episodes, digests=self.digests | other.digests)
+
+
+def _policies(folder: Path, measure: str) -> dict[str, _Run]:
+    """Return each policy of a folder by label, the evaluated one before its baselines."""
+    path, rows = folder / FILE, dict[str, list[CsvRow]]()
+    for row in read_csv(path, (*_KEYS, measure)):
+        if not is_best_known(row["controller"]):  # it stands only where it beats all others
+            rows.setdefault(row["controller"], []).append(row)
+    if not rows:
+        raise RequestError(f"{path}: there is no episode in it")
+    methods = {label: policy_rows[0].get("method", "") for label, policy_rows in rows.items()}
+    counts = Counter(methods.values())
+    return {
+        label: _policy(folder, methods[label] if counts[methods[label]] > 1 else "", rows, measure)
+        for label, rows in rows.items()
+    }
+
+
+def _policy(folder: Path, method: str, rows: Sequence[CsvRow], measure: str) -> _Run:
+    """Return the policy of a label, whose rows these are."""
+    episodes: Episodes = {}
+    label, digests = rows[0]["controller"], {row["policy"] for row in rows if "policy" in row}
+    for row in rows:
+        scene = f"{row['scene']} {row['conditions_hash']}"
+        value = row.number(measure), row["outcome"] == Outcome.REACHED
+        if not np.isfinite(value[0]):
+            raise row.refusal(measure, "a finite number is allowed")
+        if episodes.setdefault(scene, {}).setdefault(row["seed"], value) != value:
+            raise RequestError(
+                f"{row.where}: {label} has several results on {scene}, seed {row['seed']}, as with "
+                "several of its settings; a folder of eval --output for each of them, named as in "
+                "METHOD=DIR, is allowed"
+            )
+    # A rule has no training, and is no exported file either.
+    seed, training = (rows[0].get(name, "") for name in ("training_seed", "training"))
+    untrained = bool(digests) and not training and not Path(label).suffix
+    is_rule = untrained or label in registered_names("controller")
+    return _Run(folder, method, is_rule, episodes, frozenset(digests), seed, training)
 
 
 @dataclass(frozen=True)
@@ -173,7 +164,6 @@ class _Reader:
 
     def __init__(self, measure: str) -> None:
         self._measure = measure
-        self._rulers = registered_names("controller")  # they have no training seeds
         self._runs: dict[str, list[_Run]] = {}
         """By method."""
         self._rules: set[str] = set()
@@ -187,35 +177,29 @@ class _Reader:
 
         ``is_seed``: whether the folder is of one training seed of a method.
         """
-        # What summary and cells of the folder say about its policies
-        methods, played = _methods(folder), dict[str, set[PlayedPolicy]]()
-        for (label, _), played_there in played_policies(folder / FOLDER).items():
-            played.setdefault(label, set()).update(played_there)
-        policies = _policies(folder / FILE, self._measure)
-        first = next(iter(policies))
+        policies = _policies(folder, self._measure)
+        first, *_ = policies.values()
         # Each policy of the folder belongs to a method: the named one, a trained one, or its own.
-        for label, episodes in policies.items():
-            cells = played.get(label, set())
-            leads = label == first or (label in methods and methods[label] == methods.get(first))
-            method = name if name and leads else methods.get(label, label)
-            # A rule of a plugin is known by its cells; files have no seed either.
-            seedless = bool(cells) and all(cell.training_seed is None for cell in cells)
-            is_rule = label in self._rulers or (seedless and not Path(label).suffix)
-            mixed = method in self._runs and is_rule != (method in self._untrained)
-            if is_seed and label == first and mixed:
+        for label, run in policies.items():
+            leads = run is first or bool(run.method and run.method == first.method)
+            method = name if name and leads else run.method or label
+            mixed = method in self._runs and run.is_rule != (method in self._untrained)
+            if is_seed and run is first and mixed:
+                rule = label if run.is_rule else "of another folder"
                 raise RequestError(
-                    f"{folder}: {method} has a rule, {label if is_rule else 'of another folder'}, "
-                    "beside trained policies; a rule is no training seed"
+                    f"{folder}: {method} has a rule, {rule}, beside trained policies; a rule is no "
+                    "training seed"
                 )
-            if is_rule:
+            if run.is_rule:
                 self._untrained.add(method)
-            if is_rule or not (leads or label in methods):
+            if run.is_rule or not (leads or run.method):
                 self._rules.add(method)
             # A policy that several folders have counts once, and must have equal results in all.
             known = self._runs.setdefault(method, [])
-            run = _Run.of(folder, episodes, cells)
             same = [at for at, other in enumerate(known) if run.is_of(other)]
-            if any(run.contradicts(known[at]) for at in (range(len(known)) if is_rule else same)):
+            if any(
+                run.contradicts(known[at]) for at in (range(len(known)) if run.is_rule else same)
+            ):
                 raise RequestError(
                     f"{folder}: {label} has other results there than in another folder, as with "
                     "other settings; METHOD=DIR gives each a name of its own"
@@ -271,15 +255,19 @@ class _Reader:
 
 def _doubts(method: str, runs: Sequence[_Run]) -> Iterator[str]:
     """Yield a notice if two policies of a method have one training seed, or other settings."""
-    seeds = [run.training_seed for run in runs if run.training_seed is not None]
-    again = next((seed for seed in seeds if seeds.count(seed) > 1), None)
-    if again is not None:
+    seeds = Counter(run.training_seed for run in runs if run.training_seed)
+    seed, count = max(seeds.items(), key=lambda item: item[1], default=("", 0))
+    if count > 1:
         yield (
-            f"{method}: {len(seeds)} policies, but training seed {again} counts "
-            f"{seeds.count(again)} times; trainings of one method differ in their seeds"
+            f"{method}: {seeds.total()} policies, but training seed {seed} counts {count} times; "
+            "trainings of one method differ in their seeds"
         )
-    if unlike := unlike_trainings([run.training for run in runs if run.training is not None]):
-        yield f"{method}: {unlike}"
+    if len({run.training for run in runs if run.training}) > 1:
+        yield (
+            f"{method}: its policies were trained with different settings, as the column training "
+            f"of {FILE} says; trainings of one method differ in their seeds alone, and METHOD=DIR "
+            "gives others a name of their own"
+        )
 
 
 def _unlike(runs: Sequence[_Run]) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,24 +17,19 @@ from flipperctl.api import Controller
 from flipperctl.checkpoint import find, read_policy
 from flipperctl.config import TrainConfig, identity, to_dict
 from flipperctl.config.identity import (
-    ABSENT,
     all_files_read,
     content_digest,
-    differences,
     foreign_sources,
 )
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.source import ExportedPolicy, PolicySource
 
 _ATTEMPTS = 10
+_DIGITS = 16  # of a digest in a table
 _PLACES = ("seed", "device", "collector", "logger")
 """Settings in which the trainings of one method may differ."""
 _PACE = ("workers", "threads", "checkpoint_every", "regret_episodes")
 """Settings of ``train`` in which they may differ, since a run may go on elsewhere."""
-_NAMED = 3
-"""Settings in the sentence, and values of each."""
-_LENGTH = 40
-"""Longest value in the sentence, in characters."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +72,16 @@ class PolicyIdentity:
             digest = _digest([digest, *sources])
         return cls(source.label(), digest, config.seed, method_settings(config))
 
+    @property
+    def columns(self) -> dict[str, Any]:
+        """Columns of ``episodes.csv``: digests of the policy and its training, and the seed."""
+        columns: dict[str, Any] = {"policy": self.digest[:_DIGITS]}
+        if self.training_seed is not None:
+            columns["training_seed"] = self.training_seed
+        if self.training is not None:
+            columns["training"] = _digest(without_input_paths(self.training))[:_DIGITS]
+        return columns
+
 
 def method_settings(config: TrainConfig) -> dict[str, Any]:
     """Return the settings in which the trainings of one method agree."""
@@ -113,33 +118,3 @@ def _content(file: Path) -> str:
 
 def _digest(document: object) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-
-
-def unlike_trainings(trainings: Sequence[Mapping[str, Any]]) -> str:
-    """Return a sentence on the settings that differ; an empty one if none does."""
-    # Each later training against the first, setting by setting
-    first, *others = map(without_input_paths, trainings or [{}])  # none, of a rule
-    unlike: dict[str, list[Any]] = {}
-    for other in others:
-        for path, here, there in differences(first, other):
-            # A setting that one lacks is newer than its training; a plugin was left out.
-            if ABSENT not in (here, there) or isinstance(here if there is ABSENT else there, dict):
-                unlike.setdefault(path, [here]).append(there)
-
-    # As many settings and values as a sentence holds
-    if not unlike:
-        return ""
-    named = ", ".join(f"{key} ({_shown(values)})" for key, values in [*unlike.items()][:_NAMED])
-    more = f" and {len(unlike) - _NAMED} more" if len(unlike) > _NAMED else ""
-    return (
-        f"its policies were trained with different settings: {named}{more}; trainings of one "
-        "method differ in their seeds alone, and METHOD=DIR gives others a name of their own"
-    )
-
-
-def _shown(values: Sequence[Any]) -> str:
-    """Return different values as text, not longer than a line."""
-    texts = list(dict.fromkeys(map(str, values)))
-    short = [text if len(text) <= _LENGTH else f"{text[:_LENGTH]}…" for text in texts]
-    more = [f"{len(short) - _NAMED} more"] if len(short) > _NAMED else []
-    return ", ".join([*short[:_NAMED], *more])

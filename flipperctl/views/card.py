@@ -196,7 +196,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
             )
         # Weights that have changed since then belong to another policy.
         for row in (row for row in rows if row["is_policy"]):
-            digests = {policy.digest for policy in played.get((row["method"], row["hash"]), ())}
+            digests = played.get((row["method"], row["hash"]), set())
             if digests and PolicyIdentity.of(PolicySource(checkpoint=file)).digest not in digests:
                 raise RequestError(
                     f"{folder}: {row['method']} had other weights there than {file} has now; "

@@ -234,10 +234,11 @@ def episode_rows(result: Result) -> Iterator[Row]:
     for item in result.played:
         entry = item.entry
         who = {"scene": entry.terrain, "controller": entry.row_label}
+        policy = item.policy.columns if item.policy else {}
         conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
         for row in item.episodes:
             numbers = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
-            yield {**who, **numbers, **conditions, **entry.names}
+            yield {**who, **numbers, **conditions, **policy, **entry.names}
 
 
 def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]]:

@@ -13,18 +13,30 @@ import pytest
 from tests.cli.call import call, refused
 
 HEAD = ("scene", "controller", "conditions_hash", "seed", "outcome", "pitch_variation_100hz")
+MORE = ("policy", "training_seed", "training", "method")
 
 
-def write(folder: Path, policies: Mapping[str, float], *, failed: int = -1, count: int = 8) -> None:
-    """Write episodes whose θ̂_R is the policy's value and a tenth of the episode's seed."""
+def write(
+    folder: Path,
+    policies: Mapping[str, float],
+    more: Mapping[str, tuple[object, ...]] | None = None,
+    *,
+    failed: int = -1,
+    count: int = 8,
+) -> None:
+    """Write episodes whose θ̂_R is the policy's value and a tenth of the episode's seed.
+
+    ``more``: columns ``MORE`` of each policy; a table of before version 0.3 has none.
+    """
     folder.mkdir(parents=True)
     with (folder / "episodes.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(HEAD)
+        writer.writerow(HEAD if more is None else (*HEAD, *MORE))
         for name, value in policies.items():
             for seed in range(count):
                 outcome = "stuck" if seed == failed and name != "level" else "reached"
-                writer.writerow(("stair", name, "abcd", seed, outcome, value + seed / 10))
+                cells = ("stair", name, "abcd", seed, outcome, value + seed / 10)
+                writer.writerow((*cells, *(more or {}).get(name, ())))
 
 
 def compared(*arguments: str, cwd: Path) -> dict[str, Any]:
@@ -169,52 +181,36 @@ def test_the_best_known_stands_beside_and_is_no_method(tmp_path: Path) -> None:
     assert "were played by all" not in call("compare", "judged", cwd=tmp_path).err
 
 
-def remember(
-    folder: Path, label: str, digest: str, seed: int | None, training: dict | None = None
-) -> None:
-    """Write the header of a cell of a policy, beside its episodes."""
-    (folder / "cells").mkdir(exist_ok=True)
-    header = {"controller": label, "policy": digest, "training_seed": seed, "training": training}
-    text = json.dumps({**header, "conditions_hash": "abcd"})
-    (folder / "cells" / f"{digest}.jsonl").write_text(text + "\n")
-
-
 def test_a_policy_is_known_by_its_digest(tmp_path: Path) -> None:
     """Not by its episodes: trainings may fail alike, and one policy may be evaluated twice."""
     for name, digest, count in (("a", "d1", 8), ("b", "d1", 6), ("c", "d2", 8)):
-        write(tmp_path / name, {"best": 1.0}, count=count)
-        remember(tmp_path / name, "best", digest, 3)
+        write(tmp_path / name, {"best": 1.0}, {"best": (digest, 3, "t", "")}, count=count)
     assert seeds_of("a", "b", cwd=tmp_path) == {"best": 1}
     assert seeds_of("a", "c", cwd=tmp_path) == {"best": 2}
-    write(tmp_path / "e", {"best": 1.5})
-    remember(tmp_path / "e", "best", "d1", 3)
+    write(tmp_path / "e", {"best": 1.5}, {"best": ("d1", 3, "t", "")})
     assert "best has other results there than in another folder" in refused(
         "compare", "a", "e", cwd=tmp_path
     )
 
 
 def test_a_rule_among_the_seeds_of_a_method_is_refused(tmp_path: Path) -> None:
-    for number in (1, 2, 3):
-        folder = tmp_path / "m" / f"{number}"
-        write(folder, {"level" if number == 1 else f"{number}/best": 1.0 + number})
-        if number != 1:
-            remember(folder, f"{number}/best", f"d{number}", number)
-    assert "a rule is no training seed" in refused("compare", "m", cwd=tmp_path)
+    for number, rule in ((1, "level"), (2, "rule_of_a_plugin")):
+        for seed in (1, 2):
+            label = rule if seed == number else f"{seed}/best"
+            more = {label: ("d0", "", "", "") if label == rule else (f"d{seed}", seed, "t", "")}
+            write(tmp_path / f"m{number}" / f"{seed}", {label: 1.0 + seed}, more)
+        assert "a rule is no training seed" in refused("compare", f"m{number}", cwd=tmp_path)
 
 
 def test_what_trainings_of_a_method_differ_in_beside_their_seeds_is_told(tmp_path: Path) -> None:
     """Equal seeds are those of one training at two decisions, or of two networks."""
-    trained = ((0, 0.1, "runs/1"), (1, 0.1, "runs/2"), (1, 0.2, None))
-    for number, (seed, rate, start) in enumerate(trained):
-        write(tmp_path / "m" / f"{number}", {f"{number}/best": 1.0 + number, "level": 2.5})
-        settings = {"agent": {"learning_rate": rate, "start_from": start}, "terrain": {"n": [1, 2]}}
-        remember(tmp_path / "m" / f"{number}", f"{number}/best", f"d{number}", seed, settings)
+    for number, (seed, training) in enumerate(((0, "t1"), (1, "t1"), (1, "t2"))):
+        label = f"{number}/best"
+        more = {label: (f"d{number}", seed, training, ""), "level": ("d", "", "", "")}
+        write(tmp_path / "m" / f"{number}", {label: 1.0 + number, "level": 2.5}, more)
     done = call("compare", "m", cwd=tmp_path)
     assert done.code == 0
-    assert (
-        "m: its policies were trained with different settings: agent.learning_rate (0.1, 0.2), "
-        "agent.start_from (a file of its own, None);"
-    ) in done.err
+    assert "m: its policies were trained with different settings, as the column" in done.err
     assert "m: 3 policies, but training seed 1 counts 2 times" in done.err
     done = call("compare", "m/0", "m/1", "two=m/2", cwd=tmp_path)
     assert "different settings" not in done.err
@@ -235,9 +231,8 @@ def test_what_hinders_a_comparison_is_named(tmp_path: Path) -> None:
 
 def test_an_evaluation_of_a_sweep_has_the_seeds_of_its_methods(tmp_path: Path) -> None:
     values = {"s/0": 1.0, "s/1": 1.5, "s/2": 3.0, "s/3": 3.5, "level": 2.0}
-    write(tmp_path / "judged", values)
     methods = dict(zip(values, ("s/a", "s/a", "s/b", "s/b", "level"), strict=True))
-    scenes = [{"controller": label, "method": method} for label, method in methods.items()]
-    (tmp_path / "judged" / "summary.json").write_text(json.dumps({"scenes": scenes}))
+    more = {label: (f"d{label}", "", "t", method) for label, method in methods.items()}
+    write(tmp_path / "judged", values, more)
     assert seeds_of("judged", cwd=tmp_path) == {"s/a": 2, "s/b": 2, "level": 1}
     assert seeds_of("mine=judged", cwd=tmp_path) == {"mine": 2, "s/b": 2, "level": 1}

@@ -41,6 +41,7 @@ from flipperctl.rollout import cluster
 from flipperctl.rollout.pool import WorkerDiedError
 from flipperctl.text import files
 from flipperctl.views import evaluation
+from flipperctl.views.run import episode_rows
 
 LEVEL, OKADA = (load_policy(name, "here") for name in ("level", "okada"))
 
@@ -107,10 +108,12 @@ def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
     one, other = PolicyIdentity.of(shipped), PolicyIdentity.of(PolicySource(checkpoint=copy))
     assert (one.digest, one.training_seed) == (other.digest, other.training_seed)
     assert one.training_seed is not None
-    evaluate([(config(1), shipped)], store=FolderStore(tmp_path / "cells"))
-    (played,) = (p for found in played_policies(tmp_path / "cells").values() for p in found)
+    result = evaluate([(config(1), shipped)], store=FolderStore(tmp_path / "cells"))
+    (row,) = episode_rows(result)
+    assert (row["policy"], row["training_seed"]) == (one.digest[:16], one.training_seed)
+    assert len(row["training"]) == 16
+    assert list(played_policies(tmp_path / "cells").values()) == [{one.digest}]
     assert one.training is not None
-    assert played.training == one.training
     assert one.training["network"]["name"] == "at_d3qn"
     assert not {"seed", "device"} & set(one.training)
 

@@ -17,7 +17,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.evaluation.rows import reached
 from flipperctl.policies.controllers import PluginPolicy
-from flipperctl.policies.identity import PolicyIdentity, unlike_trainings
+from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import (
     PolicySource,
     Takes,
@@ -202,21 +202,3 @@ def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_f
     config = saved.config().environment()
     rows = play_episodes(config, PolicySource(checkpoint=path), episodes=3, seed=0)
     assert sum(reached(row) for row in rows) >= 2
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "told"),
-    [
-        ({"rewards": {"a": {"name": "a"}}}, {"rewards": {}}, "rewards.a ({'name': 'a'}, none)"),
-        ({"rewards": {"a": {"n": 1}}}, {"rewards": {"a": {"n": 1, "new": 2}}}, ""),
-        ({"teacher": {"episodes": "a"}}, {"teacher": {"episodes": "b"}}, ""),
-        ({"t": {"p": [{"n": 1}, {"n": 2}]}}, {"t": {"p": [{"n": 1}, {"n": 3}]}}, "t.p[1].n (2, 3)"),
-        ({"t": {"p": [1]}}, {"t": {"p": [1] * 50}}, f"t.p ([1], {str([1] * 50)[:40]}…)"),
-        (dict.fromkeys("abcde", 1), dict.fromkeys("abcde", 2), "c (1, 2) and 2 more"),
-    ],
-)
-def test_what_differs_between_trainings_fits_a_line(one: dict, other: dict, told: str) -> None:
-    found = unlike_trainings([one, other])
-    assert told in found
-    assert bool(found) == bool(told)
-    assert unlike_trainings([one, one]) == ""
