@@ -93,7 +93,9 @@ class _Heard:
                 pose = pose_of(posed.position, posed.orientation) if posed else None
                 self.belts.append((stamp, speed, pose))
             elif angles := joints.take(stamp, message.name, message.position):
-                for pair, which in zip(angles.sides or (), (names.front, names.rear), strict=False):
+                for pair, which in zip(
+                    angles.offsets or (), (names.front, names.rear), strict=False
+                ):
                     joined = " and ".join(name.lstrip("-") for name in which)
                     self.apart.append((stamp, max(pair) - min(pair), joined))
 

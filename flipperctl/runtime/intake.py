@@ -222,8 +222,9 @@ class Intake:
         if isinstance(message, JointAngles):
             factors = signs.front, signs.rear
             means = [_number(device, n, getattr(message, n), _LARGEST_ANGLE) for n in JOINTS]
-            sides = [[a] for a in means] if message.sides is None else _all_joints(message.sides)
-            self.sides = [[s * a for a in p] for s, p in zip(factors, sides, strict=True)]
+            offsets = [[0.0], [0.0]] if message.offsets is None else _offsets(message.offsets)
+            pairs = zip(factors, means, offsets, strict=True)
+            self.sides = [[s * (mean + off) for off in pair] for s, mean, pair in pairs]
             return time, Joints(*(s * a for s, a in zip(factors, means, strict=True)))
         return time, Belts(signs.x * _number(device, "speed", message.speed, _FASTEST))
 
@@ -300,15 +301,15 @@ def _refusal(
     return _RefusedError(Fault(f"{device}_{name}", text, gap=gap))
 
 
-def _all_joints(sides: Any) -> list[list[float]]:
-    """Return the angles of each joint of both pairs."""
+def _offsets(given: Any) -> list[list[float]]:
+    """Return what each joint of both pairs is off the angle of its pair."""
     try:
-        front, rear = ([_number("joints", "sides", a, _LARGEST_ANGLE) for a in p] for p in sides)
+        front, rear = ([_number("joints", "offsets", a, _LARGEST_ANGLE) for a in p] for p in given)
     except (TypeError, ValueError):
         front = rear = []
     if front and rear:
         return [front, rear]
-    raise _refusal("joints", "value", f"has sides {short(sides)}", "the angles of both pairs")
+    raise _refusal("joints", "value", f"has offsets {short(given)}", "one for each joint")
 
 
 def _check_frame(device: str, frame: object, allowed: str) -> None:

@@ -225,9 +225,9 @@ class JointAngles:
     """Angle of the front flippers, before the sign of ``Signs`` [rad]."""
     rear: float
     """Angle of the rear flippers, before the sign of ``Signs`` [rad]."""
-    sides: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-    """Angles of the joints of the front and of the rear pair, left and right, of which the above
-    are the means, if they are measured: each is compared with what was commanded [rad]."""
+    offsets: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """What the joints of the front and of the rear pair, left and right, are measured off the above
+    [rad]: each joint is then compared with what was commanded. None: they are not known."""
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,8 @@ class NewestJoints:
         oldest = float(np.min([time for time, _ in self._angles.values()]))  # NaN if one is
         angles = [tuple(self._angles[n][1] for n in pair) for pair in self._pairs]
         front, rear = (math.fsum(pair) / len(pair) for pair in angles)
-        return JointAngles(oldest, front, rear, (angles[0], angles[1]))
+        off = [tuple(a - m for a in p) for p, m in zip(angles, (front, rear), strict=True)]
+        return JointAngles(oldest, front, rear, (off[0], off[1]))
 
 
 ABSENT = "a filter such as imu_filter_madgwick adds an orientation"

@@ -48,6 +48,14 @@ class Moment:
     """Whether the belts run."""
 
 
+def joint_angles(*joints: tuple[float, float]) -> dict[str, Any]:
+    """Return the numbers of ``JointAngles`` of the left and right joints of both pairs."""
+    front, rear = (sum(pair) / 2 for pair in joints)
+    means = zip((front, rear), joints, strict=True)
+    offsets = tuple(tuple(a - mean for a in pair) for mean, pair in means)
+    return {"front": front, "rear": rear, "offsets": offsets}
+
+
 @dataclass
 class Robot:
     """Rests with both hinges on the ground, whatever its flippers do, and turns these as told."""
@@ -94,8 +102,7 @@ class Robot:
             measured["attitude"] = {"frame": "base_link", **tilt, "yaw_rate": 0.01 * jitter[2]}
         if "joints" in due:
             a, b, c, d = (angle + self.noise * jitter[3] for angle in self.angles)
-            sides = ((a, b), (c, d))
-            measured["joints"] = {"front": (a + b) / 2, "rear": (c + d) / 2, "sides": sides}
+            measured["joints"] = joint_angles((a, b), (c, d))
         if "odometry" in due:
             speed = SPEED * self.runs * (1 + 0.01 * jitter[7])
             measured["odometry"] = {"speed": speed}

@@ -10,7 +10,7 @@ import pytest
 
 from flipperctl.runtime import FlipperController, RobotSetup
 from tests.runtime.linear import ROBOT, RULE, write
-from tests.runtime.robot import RATES, SETUP, Robot, changes, faults, first, turned
+from tests.runtime.robot import RATES, SETUP, Robot, changes, faults, first, joint_angles, turned
 
 
 @pytest.fixture(scope="module")
@@ -50,27 +50,31 @@ def repeating(device: str, *fields: str) -> Callable[[str, dict[str, Any]], None
     return change
 
 
+def joints(message: dict[str, Any]) -> list[list[float]]:
+    """Return the angles of the left and the right joint of both pairs."""
+    pairs = zip((message["front"], message["rear"]), message["offsets"], strict=True)
+    return [[angle + off for off in pair] for angle, pair in pairs]
+
+
 def scaled(factor: float, *, front_only: bool = False, right_only: bool = False) -> Any:
     """Return a mutation of the joints: angles times a factor."""
 
     def change(name: str, message: dict[str, Any]) -> None:
         if name != "joints":
             return
-        (a, b), (c, d) = message["sides"]
         rear = 1.0 if front_only else factor
         left = (1.0, 1.0) if right_only else (factor, rear)
-        sides = ((left[0] * a, factor * b), (left[1] * c, rear * d))
-        message["sides"] = sides
-        message["front"], message["rear"] = (sum(pair) / 2 for pair in sides)
+        (a, b), (c, d) = joints(message)
+        message |= joint_angles((left[0] * a, factor * b), (left[1] * c, rear * d))
 
     return change
 
 
-def without_sides(change: Any) -> Any:
+def of_pairs(change: Any) -> Any:
     def both(name: str, message: dict[str, Any]) -> None:
         change(name, message)
         if name == "joints":
-            message["sides"] = None
+            message["offsets"] = None
 
     return both
 
@@ -144,7 +148,7 @@ WRONG = {
     "joints nan": ("joints_value", changing("joints", front=NAN)),
     "joints text": ("joints_value", changing("joints", front="x")),
     "joints none": ("joints_value", changing("joints", rear=None)),
-    "joints sides": ("joints_value", changing("joints", sides="left")),
+    "joints offsets": ("joints_value", changing("joints", offsets="left")),
     "attitude nan": ("attitude_value", changing("attitude", pitch=NAN)),
     "odometry nan": ("odometry_value", changing("odometry", speed=NAN)),
     "cloud nan": ("cloud_points", changing("cloud", points=lambda p: p * NAN)),
@@ -264,10 +268,10 @@ def test_a_device_that_is_too_slow_stops_the_belts(build: Any, rate: int) -> Non
 UNLIKE = {
     "degrees": scaled(math.degrees(1)),
     "degrees and signs": scaled(-math.degrees(1)),
-    "degrees of pairs": without_sides(scaled(math.degrees(1))),
+    "degrees of pairs": of_pairs(scaled(math.degrees(1))),
     "both signs": scaled(-1),
     "front sign": scaled(-1, front_only=True),
-    "sign of pairs": without_sides(scaled(-1)),
+    "sign of pairs": of_pairs(scaled(-1)),
     "right sign": scaled(-1, right_only=True),
 }
 
@@ -303,7 +307,7 @@ def test_flippers_that_do_not_follow_stall_and_then_stop(build: Any, kind: str) 
         robot.turns = (0.0, 1.0)
         moments = robot.run(14.0)
     else:
-        moments = robot.run(14.0, repeating("joints", "front", "sides"))
+        moments = robot.run(14.0, repeating("joints", "front", "offsets"))
     assert faults(moments) <= {"stall", "motion_slow"}
     assert moments[-1].answer.latched
 
@@ -325,7 +329,7 @@ def test_left_and_right_angles_may_come_now_and_then(build: Any) -> None:
     def some(device: str, message: dict[str, Any]) -> None:
         if device == "joints":
             count[0] += 1
-            message["sides"] = message["sides"] if count[0] % 3 else None
+            message["offsets"] = message["offsets"] if count[0] % 3 else None
 
     assert faults(build().run(4.0, some)[25:]) == set()
 
