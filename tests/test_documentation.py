@@ -23,7 +23,7 @@ from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, GROUPS, RUN, call
 from tests.cli.test_compare import write
-from tests.cli.test_sweeps import JOBLIB, RAY
+from tests.cli.test_sweeps import LAUNCHERS, RAY
 from tests.live.test_drives import Script
 
 pytestmark = pytest.mark.slow
@@ -40,7 +40,9 @@ KEPT = {"hydra.run.dir=runs/ridge/first", "hydra.run.dir=runs/rover"}
 """Runs on which later commands are run."""
 _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
-LAUNCHED = [["flipperctl", "train", "-m", "seed=1,2", *words] for words in (JOBLIB, RAY)]
+LAUNCHED = [
+    ["flipperctl", "train", "-m", "seed=1,2", *words] for words in (LAUNCHERS["joblib"], RAY)
+]
 """They run in the tests of the launchers."""
 FEWER = {"train.decisions": 150, "train.validation_episodes": 1}
 """Of them, 50 learn (``agent.learning_starts``)."""

@@ -11,6 +11,7 @@ rounds differently.
 
 from __future__ import annotations
 
+import math
 import os
 import platform
 import time
@@ -57,6 +58,34 @@ class Rollout:
     """Time that it has waited for calls since its first one [s]."""
     elapsed: float
     """Time since its first call [s]."""
+
+
+@dataclass(frozen=True)
+class Usage:
+    """How busy the learner and the workers of a training were."""
+
+    workers: int
+    learner_idle: float
+    """Part of its time in which the learner waited for an episode."""
+    workers_idle: float
+    """Part of their time in which the workers waited for a request."""
+
+    @property
+    def enough(self) -> int:
+        """Number of workers that would have played as much."""
+        return max(1, math.ceil(self.workers * (1 - self.workers_idle)))
+
+    def advice(self) -> str:
+        """Return what bounds the training, and what would help."""
+        if self.learner_idle > _IDLE:
+            return "more workers would help" if self.workers_idle < _IDLE else ""
+        text = "the learner is the bottleneck: more workers cannot help, "
+        text += "several trainings side by side can"
+        return text + (f"; {self.enough} is enough" if self.enough < self.workers else "")
+
+
+_IDLE = 0.15
+"""Part of the time from which the learner or the workers count as idle."""
 
 
 class Stopwatch:
@@ -214,7 +243,7 @@ class InProcessCollector:
         """Return an empty list: no episode is requested ahead of its use."""
         return []
 
-    def idle_share(self) -> None:
+    def usage(self) -> None:
         """Return None: there are no workers."""
 
     def close(self) -> None:
@@ -231,6 +260,7 @@ class RolloutWorkers:
         self._opened = ExitStack()
         self._sent: dict[Future[Rollout], RolloutRequest] = {}
         self._newest: dict[str, Rollout] = {}
+        self._begun, self._waited = math.nan, 0.0  # first episode, and waits after it [s]
         self._shared: dict[int, Any] = {}
         """Weights as they are given to calls, by their versions."""
         # A worker with other code or files would play other episodes: each compares this first.
@@ -265,9 +295,16 @@ class RolloutWorkers:
         Returns None alone, and keeps the request, if the run is to stop before one arrives.
         """
         # Poll, so that the wait can be stopped.
+        asked = time.perf_counter()
         while not (done := wait(self._awaited(), POLL, FIRST_COMPLETED).done):
             if stop():
                 return None
+        # Until the first episode the workers were starting up.
+        now = time.perf_counter()
+        if math.isnan(self._begun):
+            self._begun = now
+        else:
+            self._waited += now - asked
         future = done.pop()
         request = self._sent.pop(future)
         try:
@@ -299,12 +336,14 @@ class RolloutWorkers:
         shared = self._share("evaluated", weights)
         return [self._pool.submit(play_greedily, seed, shared) for seed in seeds]
 
-    def idle_share(self) -> float | None:
-        """Return the part of their time in which the workers waited; None before any episode."""
-        elapsed = sum(rollout.elapsed for rollout in self._newest.values())
-        return (
-            sum(rollout.waited for rollout in self._newest.values()) / elapsed if elapsed else None
-        )
+    def usage(self) -> Usage | None:
+        """Return how busy learner and workers were; None before the second episode."""
+        newest = self._newest.values()
+        elapsed, passed = sum(r.elapsed for r in newest), time.perf_counter() - self._begun
+        if not (elapsed and passed > 0):
+            return None
+        idle = sum(r.waited for r in newest) / elapsed
+        return Usage(self._pool.count, round(self._waited / passed, 3), round(idle, 3))
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests that were sent but not yet taken, oldest first."""
@@ -371,7 +410,7 @@ class AsyncCollector:
         self._workers, self._next_request = workers, next_request
         self._on_lost, self._accept, self._stop = on_lost, accept, stop
         self.outstanding, self.close = workers.outstanding, workers.close
-        self.idle_share = workers.idle_share
+        self.usage = workers.usage
 
     def episode(self) -> Iterator[Step]:
         """Yield the steps of the next episode that the workers return; none if the run stops."""

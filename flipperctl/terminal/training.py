@@ -11,6 +11,7 @@ from typing import Any
 from flipperctl.config import TrainConfig
 from flipperctl.evaluation.regret import final_regret
 from flipperctl.process.session import command
+from flipperctl.rollout.collect import Usage
 from flipperctl.terminal.progress import TrainingProgress, way_text
 from flipperctl.terminal.streams import print_note, print_notices
 from flipperctl.training.run import Finished, Reports, check_device
@@ -35,8 +36,8 @@ def print_best(run: Finished) -> None:
     best, measured = run.summary["best"], run.summary.get("regret")
     longer = f"train.decisions={2 * run.summary['decisions']}"
     # Lines that only some trainings have
-    idle = run.summary.get("workers_idle")
-    waits = "" if idle is None else f"Its workers were idle for {idle:.0%} of their time.\n"
+    usage = run.summary["usage"]
+    waits = _usage_line(Usage(**usage)) if usage else ""
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
         f"\nTrained {run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
@@ -48,6 +49,14 @@ def print_best(run: Finished) -> None:
         f"Evaluate: {command('eval', run.directory)}\n"
         f"Export:   {command('export', 'onnx', run.directory)}"
     )
+
+
+def _usage_line(usage: Usage) -> str:
+    """Return a line about how busy learner and workers were."""
+    workers = "the worker" if usage.workers == 1 else f"the {usage.workers} workers"
+    busy = f"Busy: the learner {1 - usage.learner_idle:.0%} of its time, {workers} "
+    advice = usage.advice()
+    return f"{busy}{1 - usage.workers_idle:.0%}{advice and f'; {advice}'}.\n"
 
 
 def _risk_line(validation: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from flipperctl.env import ground
 from flipperctl.env.metrics import DRAWN
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.plugging.guard import naming
-from flipperctl.rollout.collect import Collector
+from flipperctl.rollout.collect import Collector, Usage
 from flipperctl.rollout.episode import RolloutRequest, Row
 from flipperctl.rollout.training import ConfiguredTraining
 from flipperctl.text.files import write_json
@@ -72,7 +73,7 @@ class Trainer:
         self._files = all_files_read(p for p in plugged if p.kind != Logger.kind)
         self._digests = tuple(map(content_digest, self._files))
         self.companion, self._restored = Companion(directory), False
-        self._idle_share: float | None = None
+        self._usage: Usage | None = None
         self._early_notes: list[str] | None = []
         self._outstanding: list[RolloutRequest] = []
         self._recorder = TrainingRecorder(config, directory)
@@ -124,7 +125,7 @@ class Trainer:
         opened.push(closer(collector))
         train = self._train_itself if self.config.agent.own_loop else self._train
         finished = train(collector, stop)
-        self._idle_share = collector.idle_share()
+        self._usage = collector.usage()
         self._save_all(collector.outstanding())
         self._recorder.finish()
         return finished
@@ -235,6 +236,13 @@ class Trainer:
         validation = self.validator.validate(collector, self.progress.decision)
         if validation is None:
             return False
+        # Said once, while the number of workers can still be changed
+        usage = collector.usage() if len(self.validator.history) == 1 else None
+        if usage is not None and usage.enough < usage.workers:
+            self._report(
+                f"the {usage.workers} workers are idle for {usage.workers_idle:.0%} of their time; "
+                f"{usage.enough} would play as much"
+            )
         means = validation.model_dump(exclude={"decision"})
         for listener in self.listeners:
             listener.validation({**self._common_columns(), **means})
@@ -391,7 +399,7 @@ class Trainer:
                 name: validation and validation.model_dump()
                 for name, validation in validations.items()
             },
-            **({} if self._idle_share is None else {"workers_idle": round(self._idle_share, 3)}),
+            "usage": self._usage and asdict(self._usage),
         }
 
 

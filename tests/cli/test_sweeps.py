@@ -22,7 +22,10 @@ QUICK = [
     f"{key}={value}"
     for key, value in {**EXACT, "train.decisions": 60, "agent.learning_starts": 30}.items()
 ]
-JOBLIB = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+LAUNCHERS = {
+    "joblib": ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"],
+    "slurm": ["hydra/launcher=submitit_local"],  # what SLURM's launcher does, on this machine
+}
 RAY = ["hydra/launcher=ray", "hydra.launcher.ray.init.address=local"]
 ONE_CPU = [f"+hydra.launcher.ray.init.{s}" for s in ("include_dashboard=false", "num_cpus=1")]
 SEARCH = ["hydra/sweeper=optuna", "hydra.sweeper.storage=sqlite:///search.db"]
@@ -66,14 +69,17 @@ def runs(folder: Path) -> set[str]:
 
 
 @pytest.mark.long
-def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: Path) -> None:
+@pytest.mark.parametrize("launcher", LAUNCHERS)
+def test_each_combination_is_trained_where_the_basic_launcher_would(
+    folder: Path, launcher: str
+) -> None:
     words = ["terrain=floor", "seed=1,2", "hydra.sweep.dir=runs/multirun/one"]
     first, second = (folder / f"runs/multirun/one/{n}" for n in ("0_seed=1", "1_seed=2"))
     assert sweep(folder, *words).code == 0
     before, weights = (path.joinpath(checkpoint.LAST) for path in (first, second))
     begun, own = before.stat().st_mtime_ns, weights.read_bytes()
     shutil.rmtree(second)
-    done = sweep(folder, *words, *JOBLIB)  # goes on, in the processes of the launcher
+    done = sweep(folder, *words, *LAUNCHERS[launcher])  # goes on, in the processes of the launcher
     assert done.code == 0, done.err
     assert runs(folder) == {"0_seed=1", "1_seed=2"}
     assert before.stat().st_mtime_ns == begun

@@ -11,21 +11,21 @@ import torch
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.risk import policy_arrays
-from flipperctl.api import Perception, Simulator, action_index
+from flipperctl.api import Listener, Perception, Simulator, action_index
 from flipperctl.config import to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout import collect
-from flipperctl.rollout.collect import Actor, AsyncCollector, GreedyPlayer, Stopwatch
+from flipperctl.rollout.collect import Actor, AsyncCollector, GreedyPlayer, Stopwatch, Usage
 from flipperctl.rollout.episode import steps
 from flipperctl.rollout.pool import WorkerDiedError
-from tests.short import short_config, trainer
+from tests.short import few, short_config, trainer
 
 
 class Workers:
     """Workers whose first ``begun`` episodes are under way."""
 
     capacity = 1
-    outstanding = close = idle_share = None
+    outstanding = close = usage = None
 
     def __init__(self, begun: int) -> None:
         self.begun = begun
@@ -127,3 +127,37 @@ def test_it_does_not_matter_which_process_plays_a_validation(network: str, tmp_p
         torch.cat([m(row) for row in rows_in]) for m in (here.module, there._greedy.module)
     )
     assert torch.equal(ours, theirs)
+
+
+@pytest.mark.parametrize(
+    ("usage", "enough", "words"),
+    [
+        (Usage(8, 0.02, 0.85), 2, ["more workers cannot help", "; 2 is enough"]),
+        (Usage(1, 0.05, 0.7), 1, ["several trainings side by side can"]),
+        (Usage(4, 0.6, 0.03), 4, ["more workers would help"]),
+        (Usage(4, 0.3, 0.3), 3, []),  # requests that lag, say
+    ],
+)
+def test_what_would_help_follows_from_who_waits(
+    usage: Usage, enough: int, words: list[str]
+) -> None:
+    assert usage.enough == enough
+    assert bool(usage.advice()) is bool(words)
+    assert all(word in usage.advice() for word in words)
+    assert ("enough" in usage.advice()) is (enough < usage.workers and usage.learner_idle < 0.15)
+
+
+def test_a_training_says_how_busy_its_workers_were(tmp_path: Path) -> None:
+    notes: list[str] = []
+
+    class Notes(Listener):
+        def note(self, text: str) -> None:
+            notes.append(text)
+
+    config = few(**{"train.mode": "fast", "train.workers": 3})
+    training = trainer(config, tmp_path)
+    training.listeners.append(Notes())
+    usage = training.run()["usage"]
+    assert usage["workers"] == 3
+    assert 0 <= usage["learner_idle"] <= 1 >= usage["workers_idle"] >= 0
+    assert sum("would play as much" in note for note in notes) <= 1
