@@ -65,7 +65,7 @@ TRAININGS: Mapping[str, str] = {
     "plain": f"flipperctl train -m experiment=paper terrain=all_kinds {_SEEDS}/plain",
     "precise": f"flipperctl train -m terrain=all_kinds train.decisions=60000 {_SEEDS}/precise",
     "searched": "flipperctl train -m experiment=mpc_value train.decisions=2500 "
-    f"randomise.friction=null randomise.track_speed=null {_SEEDS}/searched",
+    f"randomise.sim.friction=null randomise.robot.track_speed=null {_SEEDS}/searched",
 }
 """Commands of the trainings: AT-D3QN as it is, with precise values, and with a search.
 

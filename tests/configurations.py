@@ -23,8 +23,9 @@ from pydantic.fields import FieldInfo
 
 from flipperctl.api import IntRange, Range, Settings, Terrain, registry
 from flipperctl.api.plugin import Plugin, registered_names
-from flipperctl.config import Randomise, TrainConfig, with_overrides
-from flipperctl.config.sampled import PATH_SECTIONS, SECTION_OF
+from flipperctl.config import TrainConfig, with_overrides
+from flipperctl.config.sampled import FIRST
+from flipperctl.config.sampled import SECTIONS as SAMPLED
 from flipperctl.errors import RequestError
 from flipperctl.training.run import start
 
@@ -44,7 +45,7 @@ FIXED = {
 }
 """What makes the base short, beside searches of little depth; all but the first two are drawn."""
 Overrides = dict[str, Any]
-PATHS = tuple(f"{section}." for section in PATH_SECTIONS)
+PATHS = tuple(f"{section}." for section in SAMPLED)
 """Sections whose settings are sampled by path."""
 
 
@@ -134,7 +135,6 @@ def section_settings() -> Iterator[Setting]:
             if (section, name) != ("teacher", "controller"):
                 yield from _of_field(f"{section}.{name}", info)
     yield Setting("seed", TrainConfig.model_fields["seed"])
-    yield Setting("randomise.occlusion", Randomise.model_fields["occlusion"])
 
 
 def _of_field(path: str, info: FieldInfo) -> Iterator[Setting]:
@@ -259,13 +259,14 @@ def overrides(draw: st.DrawFn) -> Overrides:
                 found["teacher.controller"][name] = 2
     for name in names:
         found[name] = draw(known[name])
-    for name, section in sorted(SECTION_OF.items()):
-        if draw(st.integers(0, 40)) == 40:
+    for path in FIRST:
+        section, _, name = path.partition(".")
+        if name != "occlusion" and draw(st.integers(0, 40)) == 40:
             cls = registry.get((section, plugins.get(section, "")))
             model = cls or TrainConfig.model_fields[section].annotation
             if (info := model.model_fields.get(name)) is not None:
                 values = Setting(f"{section}.{name}", info).values()
-                found[f"randomise.{name}"] = sorted(draw(st.tuples(values, values)))
+                found[f"randomise.{path}"] = sorted(draw(st.tuples(values, values)))
     paths = [s for s in pool if s.path.startswith(PATHS) and s.info.annotation in (int, float)]
     for setting in draw(st.lists(st.sampled_from(paths), max_size=1)):
         values = setting.values()

@@ -1,4 +1,4 @@
-"""Conversion of checkpoints from before learners were plugins, for their policies."""
+"""Conversion of checkpoints from before learners were plugins, and of short names of settings."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flipperctl.api import registry
+from flipperctl.config.sampled import FIRST, SECTIONS
 
 _STATE = ("replay_added", "replay_kept", "groups_added")
 
@@ -16,6 +17,7 @@ def current(config: Mapping[str, Any]) -> Mapping[str, Any]:
     Before, ``agent`` had the settings of two learners and ``learner`` chose one; ``method`` had
     the settings of Stable-Baselines3. Engines had a setting whose value is fixed now.
     """
+    config = with_paths(config)
     agent, method = config.get("agent"), config.get("method")
     # A learner with a name is a plugin already.
     if not isinstance(agent, Mapping) or "name" in agent:
@@ -28,6 +30,24 @@ def current(config: Mapping[str, Any]) -> Mapping[str, Any]:
     sim = {k: v for k, v in config.get("sim", {}).items() if (k, v) != ("engine", "compiled")}
     rest = {key: value for key, value in config.items() if key != "method"}
     return {**rest, "sim": sim, "agent": {**fields, "name": name}}
+
+
+def with_paths(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a plain configuration whose sampled settings are in sections, as in ``sim.friction``.
+
+    Before, common ones were ``friction`` alone, and were null if they were not sampled.
+    """
+    ranges = config.get("randomise")
+    if not isinstance(ranges, Mapping):
+        return config
+    sections = {path.partition(".")[2]: path.partition(".")[0] for path in FIRST}
+    rest = {name: value for name, value in ranges.items() if name not in sections}
+    paths: dict[str, Any] = {"spread": None, **{section: {} for section in SECTIONS}, **rest}
+    for name, value in ranges.items():
+        if name in sections and value is not None:
+            section = sections[name]
+            paths[section] = {**paths[section], name: value}
+    return {**config, "randomise": paths}
 
 
 def document(raw: Mapping[str, Any]) -> Mapping[str, Any]:

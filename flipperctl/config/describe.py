@@ -12,7 +12,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
-from flipperctl.config.sampled import PATH_SECTIONS, SECTION_OF
+from flipperctl.config.sampled import SECTIONS
 from flipperctl.plugging import guard
 from flipperctl.text.messages import bounds, meaning, unit
 
@@ -77,7 +77,7 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
             continue  # yielded by ``_choice``
         where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
         # Paths have the bounds and units of the settings that they sample.
-        if isinstance(config, Randomise) and field.name in PATH_SECTIONS and value:
+        if isinstance(config, Randomise) and field.name in SECTIONS and value:
             cls = _sampled_from(field.name)
             for name, by_path in plain[field.name].items():
                 words = bounds(cls, name), unit(cls, name) or "-", f"of {field.name}.{name}"
@@ -150,9 +150,6 @@ def summary(cls: type[Settings]) -> str:
 
 def _allowed(cls: type[Settings], name: str) -> str:
     """Return the bounds of a field, or its allowed values."""
-    if issubclass(cls, Randomise) and name in SECTION_OF:
-        return bounds(_sampled_from(SECTION_OF[name]), name)
-    # Ranges have the bounds of what they sample.
     info = cls.model_fields[name]
     lengths = [getattr(item, "min_length", None) for item in info.metadata]
     least = "".join(f"length ≥ {length}" for length in lengths if length is not None)

@@ -15,18 +15,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Annotated, Any, Final, Self, TypeGuard, Union, get_args, get_origin
+from typing import Annotated, Any, Final, TypeGuard, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
-    SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
-    create_model,
-    model_serializer,
-    model_validator,
 )
 
 from flipperctl.api import Plugin, Range, Settings
@@ -78,54 +74,38 @@ def _range_or_number(value: object, where: str) -> tuple[float, float] | float:
 Paths = Annotated[dict[str, tuple[float, float] | float], BeforeValidator(_of_paths)]
 """Setting of a section → its range, or one number: its value, or a switch's probability."""
 
-_SHORT_FORMS = {
-    "friction": ("sim", " [-]"),
-    "chassis_mass": ("robot", " [kg]"),
-    "flipper_mass": ("robot", " [kg]"),
-    "track_speed": ("robot", " [m/s]"),
-    "flipper_speed": ("robot", "; the decision period stays the robot's [rad/s]"),
-    "actuator_delay": ("robot", " [s]"),
-    "noise": ("perception", " [m]"),
-    "dropout": ("perception", " [-]"),
-    "bias": ("perception", " [m]"),
-    "horizon": ("perception", " [m]"),
-    "angle_noise": ("perception", " [rad]"),
-    "pitch_bias": ("perception", " [rad]"),
-    "flipper_bias": ("perception", " [rad]"),
-    "delay": ("perception", " [s]"),
-    "flipper_torque": ("robot", " [N m]"),
-    "flipper_length": ("robot", "; policies still assume the configured robot [m]"),
-    "track_radius": ("robot", "; policies still assume the configured robot [m]"),
-    "substep": ("sim", ", by the nearest number of substeps in a sampling time [s]"),
-    "iterations": (
-        "sim",
-        ", as the nearest integer, so that both ends of a range are half as frequent as the "
-        "numbers between them [-]",
-    ),
-}
-"""Setting with a short form → its section, and what ends its description."""
-SECTION_OF = {name: section for name, (section, _) in _SHORT_FORMS.items()}
-"""Section of each setting with a short form; their values are sampled in this order."""
-SWITCHES = {"occlusion": "perception"}
-"""Section of each short form of a switch with a probability; sampled after those with a range."""
-PATH_SECTIONS = ("sim", "robot", "perception")
-"""Sections whose settings are sampled by path, after all short forms and in this order."""
+SECTIONS = ("sim", "robot", "perception")
+"""Sections whose settings are sampled."""
+FIRST = (
+    "sim.friction", "robot.chassis_mass", "robot.flipper_mass", "robot.track_speed",
+    "robot.flipper_speed", "robot.actuator_delay", "perception.noise", "perception.dropout",
+    "perception.bias", "perception.horizon", "perception.angle_noise", "perception.pitch_bias",
+    "perception.flipper_bias", "perception.delay", "robot.flipper_torque", "robot.flipper_length",
+    "robot.track_radius", "sim.substep", "sim.iterations", "perception.occlusion",
+)  # fmt: skip
+"""Settings that are sampled before all others, so that a further one leaves episodes equal."""
 _FACTOR: Final = 10.0
 """Ratio of a range's ends from which on its logarithm is sampled evenly [-]."""
-OMITTED: Mapping[str, Any] = {"sim": {}, "robot": {}, "perception": {}, "spread": None}
-"""Settings that files have only if they are used, with what they are otherwise."""
 
 
 @dataclass(frozen=True)
 class Sampled:
     """One setting that is sampled for every episode."""
 
-    section: str
-    field: str
     name: str
-    """Short form or path below ``randomise``, which is also the name of the column in files."""
+    """Path below ``randomise``, which is also the name of the column in files."""
     value: tuple[float, float] | float
     """Range, or one number: the value of a numeric setting or the probability of a switch."""
+
+    @property
+    def section(self) -> str:
+        """Section of the setting."""
+        return self.name.partition(".")[0]
+
+    @property
+    def field(self) -> str:
+        """Name of the setting within its section."""
+        return self.name.partition(".")[2]
 
     @property
     def key(self) -> str:
@@ -138,38 +118,18 @@ class Sampled:
         return self.value if isinstance(self.value, tuple) else (self.value, self.value)
 
 
-@lru_cache(maxsize=1000)  # it is called for every combination of range ends
-def target(name: str) -> tuple[str, str]:
-    """Return the section and the field of a short form or of a path such as ``sim.yaw``."""
-    if section := SECTION_OF.get(name) or SWITCHES.get(name):
-        return section, name
-    section, _, field = name.partition(".")
-    return section, field
-
-
-_fields: dict[str, Any] = {
-    name: (Range | None, Field(None, description=f"of {section}.{name}{rest}"))
-    for name, (section, rest) in _SHORT_FORMS.items()
-}
-_ShortForms: Any = create_model("_ShortForms", __base__=Settings, **_fields)
-
-
-class Randomise(_ShortForms):
+class Randomise(Settings):
     """The settings that are sampled for every episode of a training or an evaluation.
 
     ``randomise.<section>.<setting>`` samples any number or switch of the sections ``sim``,
-    ``robot`` and ``perception``, also of plugins; other names are short forms.
-    ``randomise.robot.size`` is a factor on all lengths of the robot. Each
-    range has the unit of its setting and must lie within its bounds, and all combinations must be
-    possible; a switch has a probability. The start is sampled by
+    ``robot`` and ``perception``, also of plugins. ``randomise.robot.size`` is a factor on all
+    lengths of the robot. Each range has the unit of its setting and must lie within its bounds, and
+    all combinations must be possible; a switch has a probability. The start is sampled by
     ``episode.start_noise`` and ``episode.start_angle_noise``. With ``spread`` many episodes are
     close to the configured values and some far from them. A range from above 0 to ten times its
     start or more is sampled in the logarithm.
     """
 
-    occlusion: float | None = Field(
-        None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
-    )
     spread: Range | None = Field(
         None,
         ge=0,
@@ -181,38 +141,19 @@ class Randomise(_ShortForms):
     robot: Paths = Field({}, description="ranges of settings of the robot, by name [-]")
     perception: Paths = Field({}, description="ranges of settings of the sensor, by name [-]")
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        # A short form and a path may mean the same setting.
-        seen: dict[tuple[str, str], str] = {}
-        for sampled in self.sampled():
-            if (
-                other := seen.setdefault((sampled.section, sampled.field), sampled.name)
-            ) != sampled.name:
-                raise ConfigError(
-                    f"{sampled.key}: randomise.{other} samples the same setting; drop one of the "
-                    f"two, for example with {sampled.key}=null"
-                )
-        return self
-
-    @model_serializer(mode="wrap")
-    def _without_empty_sections(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is newer and not used, so that hashes stay the same."""
-        plain = serialize(self).items()
-        return {name: value for name, value in plain if value or name not in OMITTED}
-
     def sampled(self) -> Iterator[Sampled]:
         """Yield each sampled setting, in the order in which values are sampled.
 
-        The order of the paths in a file does not matter, and a path does not change the samples of
-        the short forms.
+        The order of the paths in a file does not matter.
         """
-        for name, section in (SECTION_OF | SWITCHES).items():
-            if (ends := getattr(self, name)) is not None:
-                yield Sampled(section, name, name, ends)
-        for section in PATH_SECTIONS:
-            for field, value in sorted(getattr(self, section).items()):
-                yield Sampled(section, field, f"{section}.{field}", value)
+        ranges = {
+            f"{section}.{field}": value
+            for section in SECTIONS
+            for field, value in sorted(getattr(self, section).items())
+        }
+        for name in (*FIRST, *(name for name in ranges if name not in FIRST)):
+            if name in ranges:
+                yield Sampled(name, ranges[name])
 
     def find(self, section: str, field: str) -> Sampled | None:
         """Return the sampled setting at this place, or None if it is not sampled."""
@@ -273,8 +214,8 @@ def _configured(settings: Settings, field: str, low: float, high: float) -> floa
 def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[str, Any]:
     """Return the sections with the sampled values in place of their own."""
     result = dict(sections)
-    for section in {target(name)[0]: None for name in sampled}:
-        values = {name: value for name, value in sampled.items() if target(name)[0] == section}
+    for section in {name.partition(".")[0]: None for name in sampled}:
+        values = {name: v for name, v in sampled.items() if name.startswith(f"{section}.")}
         try:
             result[section] = _with_values(result[section], values)
         except ValidationError as error:
@@ -379,7 +320,7 @@ def _with_values(settings: Settings, sampled: Mapping[str, float]) -> Settings:
 
     A factor multiplies the settings of ``Settings.factors``, after these were sampled themselves.
     """
-    cls, values = type(settings), {target(name)[1]: value for name, value in sampled.items()}
+    cls, values = type(settings), {name.partition(".")[2]: value for name, value in sampled.items()}
     # Factors multiply what was sampled itself, so that they come last.
     factors = {name: values.pop(name) for name in cls.factors if name in values}
     switched = {name: bool(v) if _kind(cls, name) is bool else v for name, v in values.items()}
@@ -394,8 +335,8 @@ def _refusal(error: ValidationError, settings: Settings, values: Mapping[str, fl
     # An error of one field names its range; an error of several names all that could mend it.
     first = error.errors()[0]["loc"]
     for name in values:
-        if first and first[0] == target(name)[1]:
-            where = f"randomise.{name}".rpartition(".")[0]
+        if first and first[0] == name.partition(".")[2]:
+            where = f"randomise.{name.partition('.')[0]}"
             return ConfigError(explain(error, where, type(settings)))
     culprits = [name for name in values if _possible_without(name, settings, values)]
     where = ", ".join(f"randomise.{name}" for name in culprits or values)

@@ -12,7 +12,6 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Measure, Plugin, Transition, registry
 from flipperctl.config import resolver
-from flipperctl.config.sampled import Randomise
 from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
 from flipperctl.plugging.guard import as_real, definition, plugin_label, refusal, short_repr
 
@@ -63,6 +62,7 @@ RESERVED = frozenset(
         "outcomes",
         "parts",
         "passable",
+        "policy",
         "reached",
         "return",
         "risk",
@@ -87,6 +87,8 @@ RESERVED = frozenset(
         "success",
         "success_rate",
         "terrain",
+        "training",
+        "training_seed",
     }
 )
 """Columns and keys of files besides the measures."""
@@ -193,7 +195,7 @@ class Pitches:
 def _make(cls: type[Plugin]) -> Measure:
     name = cls.plugin_name
     # A measure's name is a column of files, and must be free there.
-    if name in RESERVED or name.startswith(_PREFIXES) or name in Randomise.model_fields:
+    if name in RESERVED or name.startswith(_PREFIXES):
         raise PluginError(
             f"{plugin_label(cls)}: files have another column or key {name!r}; choose another name "
             f"({definition(cls)})"

@@ -111,13 +111,13 @@ class Conditions:
         return "; ".join(f"{title} {text}" for title, text in parts.items() if text)
 
     def _randomised(self) -> Iterator[str]:
-        """Yield each sampled setting with its range; settings sampled by path include the path."""
+        """Yield each sampled setting with its range, and the spread of all."""
         for name, value in self.settings["randomise"].items():
             if isinstance(value, Mapping):
                 model = type(self.defaults[name])
                 for field, item in value.items():
                     yield f"{name}.{_format_setting(model, field, item)}"
-            elif value is not None:
+            elif value is not None:  # the spread
                 yield _format_setting(Randomise, name, value)
 
     def _differences(self, section: str, varied: Collection[str]) -> Iterator[tuple[str, str]]:

@@ -15,7 +15,7 @@ from typing import Any
 from flipperctl.agent.frames import stacked
 from flipperctl.agent.replay import Replay
 from flipperctl.api import MAX_HISTORY, ObservationLayout, Robot
-from flipperctl.checkpoint import recording
+from flipperctl.checkpoint import former, recording
 from flipperctl.checkpoint.recording import PartialEnvironment, Recording
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.config.identity import ABSENT, differences
@@ -92,7 +92,7 @@ def differing_conditions(config: TrainConfig, episodes: Recording) -> str:
         for text in _differing(
             section,
             {k: v for k, v in conditions[section].items() if k not in left_out.get(section, ())},
-            environment.model_dump(mode="json").get(section, {}),
+            former.with_paths(environment.model_dump(mode="json")).get(section, {}),
         )
     )
     if not texts:

@@ -375,7 +375,7 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     advice = f"export a matching file: flipperctl export onnx RUN {overrides}"
     if changed == ["flipper_speed"]:
         speed = values["flipper_speed"]
-        advice += f", or keep the file's period with randomise.flipper_speed={speed}"
+        advice += f", or keep the file's period with randomise.robot.flipper_speed={speed}"
     raise ConfigError(
         f"{file} applies {', '.join(disagreements)}, also on the real robot; {advice}"
     )

@@ -41,7 +41,7 @@ from flipperctl.config.defaults import (
     sections,
 )
 from flipperctl.config.merge import change, drop
-from flipperctl.config.sampled import OMITTED, PATH_SECTIONS
+from flipperctl.config.sampled import SECTIONS as SAMPLED
 from flipperctl.config.words import escaped
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explain_missing_training
@@ -94,10 +94,10 @@ def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
     """Return the sections, with the mappings of ``randomise`` open for new keys without a +."""
     randomise = sections["randomise"]
     open_for_keys = {
-        section: OmegaConf.create(randomise.get(section, {}), flags={"struct": False})
-        for section in PATH_SECTIONS
+        section: OmegaConf.create(randomise[section], flags={"struct": False})
+        for section in SAMPLED
     }
-    return {**sections, "randomise": {**OMITTED, **randomise, **open_for_keys}}
+    return {**sections, "randomise": {**randomise, **open_for_keys}}
 
 
 def register_trained(config: TrainConfig | EvalConfig) -> str:

@@ -116,7 +116,7 @@ replay nowhere.json -> nowhere.json: it cannot be read | No such file
 eval -> name a policy, as in: flipperctl eval generalist terrain=stair
 eval --controller okado -> okado: there is no | 'okada'
 eval --controller okada --baseline levl -> 'levl' | 'level'
-eval --controller okada randomise.friction=true -> friction | rue
+eval --controller okada randomise.sim.friction=true -> friction | rue
 eval --controller okada --baseline generalist -> --baseline | add --checkpoint generalist
 eval --controller okada --baseline none,okada -> --baseline: none stands alone | none,okada
 eval okada eval.seed=99999999999999999999 -> eval.seed | ≤ 9.22337e+18
@@ -149,7 +149,7 @@ map okada terrain=uplift --over terrain.hight,sim.friction -> did you mean 'terr
 map okada terrain=uplift --over terrain.height=0.1:2,sim.friction -> terrain.height | ≤ 0.8
 map okada terrain=uplift --over perception.occlusion,sim.friction -> it is no number
 map okada terrain=uplift --over terrain.height=1:0,sim.friction -> from a lower to a higher number
-map okada terrain=uplift randomise.friction=[0.8,1.2] --over terrain.height,sim.friction \
+map okada terrain=uplift randomise.sim.friction=[0.8,1.2] --over terrain.height,sim.friction \
     -> --over sim.friction: it has no effect
 map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 suite=paper \
     -> suite=…: map takes one scene

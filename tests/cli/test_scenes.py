@@ -37,17 +37,19 @@ def test_an_override_over_the_conditions_without_effect_is_refused(tmp_path: Pat
     assert (config.sim.gravity, config.episode.start_noise) == (3.7, 0.1)
     noise = ["conditions=varied", "perception.noise=0.05"]
     error = refused("eval", "okada", *noise, cwd=tmp_path)
-    assert "perception.noise=0.05: it has no effect, since randomise.noise=[0,0.01]" in error
-    ((config, _),) = scenes(from_words([*noise, "randomise.noise=null"]), None, "okada")
-    assert (config.perception.noise, config.randomise.noise) == (0.05, None)
+    wanted = "perception.noise=0.05: it has no effect, since randomise.perception.noise=[0,0.01]"
+    assert wanted in error
+    ((config, _),) = scenes(from_words([*noise, "randomise.perception.noise=null"]), None, "okada")
+    assert config.perception.noise == 0.05
+    assert "noise" not in config.randomise.perception
     ((config, _),) = scenes(from_words([*noise, "randomise.spread=[0,1]"]), None, "okada")
     assert config.perception.noise == 0.05  # samples lie around it
-    robot = ["robot.chassis_mass=24", "randomise.chassis_mass=[21,27]"]
+    robot = ["robot.chassis_mass=24", "randomise.robot.chassis_mass=[21,27]"]
     (trained,) = compose_train(from_words(robot))
     assert trained.robot.chassis_mass == 24  # which the exported policy assumes
-    words = ["train", "terrain=flat", "sim.friction=0.4", "randomise.friction=[0.9,1.2]"]
+    words = ["train", "terrain=flat", "sim.friction=0.4", "randomise.sim.friction=[0.9,1.2]"]
     error = refused(*words, cwd=tmp_path)
-    assert "sim.friction=0.4: it has no effect, since randomise.friction=[0.9,1.2]" in error
+    assert "sim.friction=0.4: it has no effect, since randomise.sim.friction=[0.9,1.2]" in error
 
 
 def test_the_table_says_those_that_are_not_the_default_in_a_line(tmp_path: Path) -> None:
@@ -56,7 +58,7 @@ def test_the_table_says_those_that_are_not_the_default_in_a_line(tmp_path: Path)
     assert done.code == 0, done.err
     scenes = json.loads((tmp_path / "out" / "summary.json").read_text())["scenes"]
     (line,) = (line for line in done.out.splitlines() if line.startswith("conditions "))
-    assert line.startswith("conditions varied: randomised friction 0.8 to 1.2, ")
+    assert line.startswith("conditions varied: randomised sim.friction 0.8 to 1.2, ")
     for name in ("nominal", "varied"):
         assert re.search(rf"\nflat, {name} +okada ", done.out)  # the row that it is about
     hashes = [scene["conditions"]["hash"] for scene in scenes]

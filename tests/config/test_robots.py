@@ -98,7 +98,7 @@ def test_a_name_wins_over_the_robot_of_compared_files():
 
 
 def test_conditions_for_nubot_are_remarked_on():
-    ranges: Any = {"flipper_length": (0.52, 0.552), "chassis_mass": (30, 40)}
+    ranges: Any = {"robot": {"flipper_length": (0.52, 0.552), "chassis_mass": (30, 40)}}
     assert not list(notes_on_robot(EnvConfig(terrain="flat", randomise=ranges)))
     (note,) = notes_on_robot(EnvConfig(terrain="flat", randomise=ranges, robot="absolem"))
     assert "robot.flipper_length=0.448" in note
@@ -112,6 +112,7 @@ def test_a_body_that_hides_less_than_the_chassis_is_noted() -> None:
     assert not notes(robot=robot)
     assert not notes(perception={"occlusion": True})
     assert not notes(robot=robot, perception={"occlusion": True, "body_length": 1.2})
-    for hidden in ({"perception": {"occlusion": True}}, {"randomise": {"occlusion": 0.5}}):
+    sampled: Any = {"perception": {"occlusion": 0.5}}
+    for hidden in ({"perception": {"occlusion": True}}, {"randomise": sampled}):
         (note,) = notes(robot=robot, **hidden)
         assert "perception.body_length=1.2 hides all" in note

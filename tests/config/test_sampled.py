@@ -9,18 +9,16 @@ from flipperctl.config import EnvConfig, Randomise
 from flipperctl.errors import ConfigError
 
 RANGES: dict[str, Any] = {
-    "friction": (0.4, 1.2),
-    "noise": (0.005, 0.02),
-    "horizon": (0.8, 1.0),
-    "occlusion": 0.5,
+    "sim": {"friction": (0.4, 1.2)},
+    "perception": {"noise": (0.005, 0.02), "horizon": (0.8, 1.0), "occlusion": 0.5},
     "robot": {"size": (0.9, 1.1), "payload": (0.0, 10.0), "track_force": (350.0, 700.0)},
 }
 """Of settings that are configured inside the range, below and above it, as null, or as a switch."""
 CONFIGURED = {
-    "friction": 1.0,
-    "noise": 0.005,
-    "horizon": 1.0,
-    "occlusion": 0.0,
+    "sim.friction": 1.0,
+    "perception.noise": 0.005,
+    "perception.horizon": 1.0,
+    "perception.occlusion": 0.0,
     "robot.size": 1.0,
     "robot.payload": 0.0,
     "robot.track_force": 700.0,  # null is no limit
@@ -40,20 +38,20 @@ def test_none_of_the_way_is_the_configured_robot_as_far_as_the_ranges_allow() ->
 
 def test_the_whole_way_is_the_whole_range() -> None:
     found = samples((1, 1))
-    for name, low, high in (("friction", 0.4, 1.2), ("noise", 0.005, 0.02)):
+    for name, low, high in (("sim.friction", 0.4, 1.2), ("perception.noise", 0.005, 0.02)):
         values = [one[name] for one in found]
         assert low <= min(values) < low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) < max(values) <= high
-    assert 0.35 < np.mean([one["occlusion"] for one in found]) < 0.65
+    assert 0.35 < np.mean([one["perception.occlusion"] for one in found]) < 0.65
 
 
 def test_one_share_holds_for_all_settings_of_an_episode() -> None:
     half = samples((0.5, 0.5))
-    assert all(0.7 <= one["friction"] <= 1.1 and one["robot.payload"] <= 5 for one in half)
-    assert max(one["friction"] for one in half) > 1.08
-    assert 0.15 < np.mean([one["occlusion"] for one in half]) < 0.35
+    assert all(0.7 <= one["sim.friction"] <= 1.1 and one["robot.payload"] <= 5 for one in half)
+    assert max(one["sim.friction"] for one in half) > 1.08
+    assert 0.15 < np.mean([one["perception.occlusion"] for one in half]) < 0.35
     found = samples((0, 1), 2000)
-    names = ("friction", "robot.payload", "robot.track_force")
+    names = ("sim.friction", "robot.payload", "robot.track_force")
     far = np.array([[abs(one[name] - CONFIGURED[name]) for name in names] for one in found])
     assert (np.corrcoef(far.T) > 0.1).all()  # independent ranges have none
 
@@ -65,7 +63,7 @@ def test_other_shares_are_refused(wrong: tuple[float, float]) -> None:
 
 
 def test_a_number_up_to_which_an_engine_samples_lies_on_the_way_too() -> None:
-    ranges = Randomise(sim={"yaw": 0.1, "offset": 0.05}, spread=(0.5, 0.5), friction=None)
+    ranges = Randomise(sim={"yaw": 0.1, "offset": 0.05, "friction": None}, spread=(0.5, 0.5))
     config = EnvConfig(terrain="flat", sim="mujoco", randomise=ranges)
     found = config.sample(np.random.default_rng(0))
     assert (found["sim.yaw"], found["sim.offset"]) == pytest.approx((0.05, 0.025))
@@ -73,9 +71,9 @@ def test_a_number_up_to_which_an_engine_samples_lies_on_the_way_too() -> None:
 
 def test_a_range_over_a_factor_of_ten_is_sampled_in_the_logarithm() -> None:
     def torques(low: float, **spread: Any) -> list[float]:
-        ranges = Randomise(flipper_torque=(low, 200), **spread)
+        ranges = Randomise(robot={"flipper_torque": (low, 200)}, **spread)
         config, rng = EnvConfig(terrain="flat", randomise=ranges), np.random.default_rng(0)
-        return [config.sample(rng)["flipper_torque"] for _ in range(4000)]
+        return [config.sample(rng)["robot.flipper_torque"] for _ in range(4000)]
 
     for low, quarter in ((20, 35.6), (20.5, 65.4)):  # 20 · 10^0.25, 20.5 + 44.9
         found = torques(low)

@@ -32,7 +32,7 @@ def test_a_copy_goes_on_equally(made: Callable[[Any], Any], begun: int) -> None:
         "flipperctl.env:flipperctl/Flipper-v0",
         terrain="step",
         perception={"noise": 0.01},
-        randomise={"friction": (0.7, 1.3)},
+        randomise={"sim": {"friction": (0.7, 1.3)}},
     )
     env.reset(seed=1)
     env.reset(options={"difficulty": 0.5})  # the generator has begun an episode before

@@ -307,7 +307,7 @@ def test_a_policy_perceives_in_the_simulator_what_it_does_in_the_episode() -> No
 
 
 def test_exact_perception_alone_tells_the_drawn_physics() -> None:
-    drawn = {"randomise.friction": [0.6, 0.6], "randomise.flipper_length": [0.5, 0.5]}
+    drawn = {"randomise.sim.friction": [0.6, 0.6], "randomise.robot.flipper_length": [0.5, 0.5]}
     env = FlipperEnv(terrain="step", **drawn)
     env.reset(seed=1)
     simulator = env.simulator()

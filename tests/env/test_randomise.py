@@ -9,7 +9,6 @@ import yaml
 
 from flipperctl.api import Robot
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
-from flipperctl.config.sampled import PATH_SECTIONS, Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.plugging import plugins
@@ -17,25 +16,27 @@ from flipperctl.rollout.episode import play
 
 HOLD, RAISE = 4, 8
 RANGES = {
-    "friction": [0.6, 1.2],
-    "chassis_mass": [30, 40],
-    "flipper_mass": [4, 6],
-    "track_speed": [0.15, 0.25],
-    "flipper_speed": [0.4, 0.5],
-    "actuator_delay": [0.0, 0.1],
-    "noise": [0.0, 0.02],
-    "dropout": [0.0, 0.2],
-    "bias": [-0.02, 0.02],
-    "horizon": [0.5, 1.0],
-    "angle_noise": [0.0, 0.02],
-    "pitch_bias": [-0.03, 0.03],
-    "flipper_bias": [-0.03, 0.03],
-    "delay": [0.0, 0.2],
-    "flipper_torque": [80, 200],
-    "flipper_length": [0.52, 0.55],
-    "track_radius": [0.097, 0.103],
-    "substep": [0.0025, 0.005],
-    "iterations": [10, 40],
+    "sim": {"friction": [0.6, 1.2], "substep": [0.0025, 0.005], "iterations": [10, 40]},
+    "robot": {
+        "chassis_mass": [30, 40],
+        "flipper_mass": [4, 6],
+        "track_speed": [0.15, 0.25],
+        "flipper_speed": [0.4, 0.5],
+        "actuator_delay": [0.0, 0.1],
+        "flipper_torque": [80, 200],
+        "flipper_length": [0.52, 0.55],
+        "track_radius": [0.097, 0.103],
+    },
+    "perception": {
+        "noise": [0.0, 0.02],
+        "dropout": [0.0, 0.2],
+        "bias": [-0.02, 0.02],
+        "horizon": [0.5, 1.0],
+        "angle_noise": [0.0, 0.02],
+        "pitch_bias": [-0.03, 0.03],
+        "flipper_bias": [-0.03, 0.03],
+        "delay": [0.0, 0.2],
+    },
 }
 
 
@@ -53,8 +54,8 @@ def episode(seed: int, **overrides: object) -> dict[str, object]:
 
 
 def test_one_factor_scales_all_lengths_after_their_own_samples() -> None:
-    lengths = {"chassis_length": [0.8, 0.8], "size": [1.1, 1.1]}
-    env = FlipperEnv(config=config(randomise={"flipper_length": [0.5, 0.5], "robot": lengths}))
+    lengths = {"flipper_length": [0.5, 0.5], "chassis_length": [0.8, 0.8], "size": [1.1, 1.1]}
+    env = FlipperEnv(config=config(randomise={"robot": lengths}))
     env.reset(seed=0)
     found = env.robot.chassis_length, env.robot.flipper_length, env.robot.track_radius
     assert found == pytest.approx((0.88, 0.55, 0.11))
@@ -73,7 +74,7 @@ def test_the_widest_conditions_are_possible_together(name: str, sim: str) -> Non
     sections = yaml.safe_load(text)
     if name == "widest_3d":
         more = files("flipperctl.configs.conditions").joinpath(f"{name}.yaml").read_text()
-        sections["randomise"] |= yaml.safe_load(more)["randomise"]
+        sections["randomise"]["sim"] |= yaml.safe_load(more)["randomise"]["sim"]
     env = FlipperEnv("midway", sim=sim, **sections)
     env.reset(seed=1)
     robot = env.robot
@@ -87,15 +88,15 @@ def test_the_widest_conditions_are_possible_together(name: str, sim: str) -> Non
 
 
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:
-    assert {*RANGES, "occlusion", "spread", *PATH_SECTIONS} == set(Randomise.model_fields)
     for seed in range(2):
         row = episode(seed, randomise=RANGES)
-        for name, (low, high) in RANGES.items():
-            value = row[name]
-            assert isinstance(value, int if name == "iterations" else float)
-            assert low <= value <= high
+        for section, ranges in RANGES.items():
+            for name, (low, high) in ranges.items():
+                value = row[f"{section}.{name}"]
+                assert isinstance(value, int if name == "iterations" else float)
+                assert low <= value <= high
     assert episode(1, randomise=RANGES) == row
-    assert episode(0, randomise=RANGES)["friction"] != row["friction"]
+    assert episode(0, randomise=RANGES)["sim.friction"] != row["sim.friction"]
 
 
 def test_a_drawn_value_acts_as_the_setting_itself() -> None:
@@ -109,36 +110,36 @@ def test_a_drawn_value_acts_as_the_setting_itself() -> None:
         "perception.delay": 0.2,
         "perception.pitch_bias": 0.05,
     }
-    drawn = {f"randomise.{key.partition('.')[2]}": [value, value] for key, value in fixed.items()}
+    drawn = {f"randomise.{key}": [value, value] for key, value in fixed.items()}
     by_path = {f"randomise.{key}": value for key, value in fixed.items()}
     one, other, third = episode(3, **fixed), episode(3, **drawn), episode(3, **by_path)
-    assert {name: other[name] for name in one} == one
-    assert {name: third[name] for name in (*one, *fixed)} == {**one, **fixed}
+    for row in (other, third):
+        assert {name: row[name] for name in (*one, *fixed)} == {**one, **fixed}
     assert one["pitch_variation"] != episode(3)["pitch_variation"]
 
 
 def test_a_sampled_substep_divides_the_sampling_time() -> None:
-    found = config(randomise={"substep": (0.0025, 0.005), "sim": {"iterations": (10, 12)}})
+    found = config(randomise={"sim": {"substep": (0.0025, 0.005), "iterations": (10, 12)}})
     values = [found.sample(np.random.default_rng(seed)) for seed in range(40)]
-    ratios = {round(0.01 / value["substep"], 9) for value in values}
+    ratios = {round(0.01 / value["sim.substep"], 9) for value in values}
     assert ratios == {2.0, 3.0, 4.0}
     assert {value["sim.iterations"] for value in values} == {10, 11, 12}
     assert isinstance(values[0]["sim.iterations"], int)
 
 
-def test_a_path_samples_as_its_short_form_and_leaves_others_alone() -> None:
-    short = {"track_speed": [0.15, 0.25], "occlusion": 0.5}
-    paths = {"robot": {"chassis_length": [0.7, 0.8]}, "perception": {"density": [60, 90]}}
-    by_path = {"robot": {"track_speed": [0.15, 0.25]}, "perception": {"occlusion": 0.5}}
+def test_a_further_setting_leaves_the_samples_of_common_ones_alone() -> None:
+    common = {"robot": {"track_speed": [0.15, 0.25]}, "perception": {"occlusion": 0.5}}
+    further = {
+        "robot": {**common["robot"], "chassis_length": [0.7, 0.8]},
+        "perception": {**common["perception"], "density": [60, 90]},
+    }
     for seed in range(5):
-        one, more, other = (
+        one, more = (
             config(randomise=given).sample(np.random.default_rng(seed))
-            for given in (short, {**short, **paths}, by_path)
+            for given in (common, further)
         )
         assert list(more) == [*one, "robot.chassis_length", "perception.density"]
         assert {name: more[name] for name in one} == one
-        # A short switch is sampled after all short ranges, as this path is after this range.
-        assert list(other.values()) == list(one.values())
 
 
 def test_the_order_of_paths_and_none_do_not_matter() -> None:
@@ -149,23 +150,24 @@ def test_the_order_of_paths_and_none_do_not_matter() -> None:
     dropped = with_overrides(
         one, {"randomise.sim.gravity": None, "randomise": {"sim": {"friction": None}}}
     )
-    # Files and hashes of configurations without paths are those of version 0.2.
-    assert "sim" not in to_dict(dropped)["randomise"]
+    assert to_dict(dropped)["randomise"]["sim"] == {}
     assert with_overrides(one, {}) == one
 
 
 def test_occlusion_is_on_with_its_probability() -> None:
-    env = FlipperEnv(config=config(**{"randomise.occlusion": 0.5, "randomise.noise": [0, 0.02]}))
+    noise = {"randomise.perception.noise": [0, 0.02]}
+    both = {**noise, "randomise.perception.occlusion": 0.5}
+    env = FlipperEnv(config=config(**both))
     drawn = []
     for seed in range(20):
         env.reset(seed=seed)
         drawn.append(env.perception.filled is not None)
     assert 4 <= sum(drawn) <= 16  # 10 ± √5; each seed draws the same every time
     switched = next(seed for seed, on in enumerate(drawn) if on)
-    row = episode(switched, **{"randomise.occlusion": 0.5, "randomise.noise": [0, 0.02]})
-    assert row["occlusion"] == 1.0
+    row = episode(switched, **both)
+    assert row["perception.occlusion"] == 1.0
     # sampled last, so that it leaves the other samples of a seed as they were
-    assert row["noise"] == episode(switched, **{"randomise.noise": [0, 0.02]})["noise"]
+    assert row["perception.noise"] == episode(switched, **noise)["perception.noise"]
 
 
 def test_drawing_leaves_terrain_and_start_alone() -> None:
@@ -177,7 +179,7 @@ def test_drawing_leaves_terrain_and_start_alone() -> None:
 
 
 def test_a_slower_flipper_does_not_change_the_decisions_period() -> None:
-    env = FlipperEnv(config=config(**{"randomise.flipper_speed": [0.2, 0.2]}))
+    env = FlipperEnv(config=config(**{"randomise.robot.flipper_speed": [0.2, 0.2]}))
     env.reset(seed=0)
     env.step(RAISE)
     assert env.state.time == pytest.approx(Robot().decision_period)
@@ -228,24 +230,21 @@ def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
 @pytest.mark.parametrize(
     ("ranges", "words"),
     [
-        ({"friction": [1.2, 0.6]}, r"randomise\.friction.*low ≤ high"),
-        ({"friction": [0.5, 20]}, r"randomise\.friction.*10.*20"),
-        ({"dropout": [-0.5, 0.5]}, r"randomise\.dropout.*-0\.5"),
-        ({"frictoin": [0.5, 1]}, r"randomise\.frictoin.*did you mean 'friction'"),
-        ({"occlusion": 1.5}, r"randomise\.occlusion.*1\.5"),
-        ({"track_radius": [0.1, 0.4]}, r"^randomise\.track_radius: chassis_length \(0\.76 m\) "),
-        ({"flipper_length": [0.21, 0.5], "track_radius": [0.08, 0.12]},
-         r"^randomise\.flipper_length, randomise\.track_radius: flipper_length \(0\.21 m\) "),
-        ({"flipper_length": [0.19, 0.5]}, r"^randomise\.flipper_length: .*> 0\.2.*0\.19"),
-        ({"substep": [0.00041, 0.005]}, None),  # a divisor of 0.01 s beside it
-        ({"substep": [0.0003, 0.005]}, r"^randomise\.substep: .*> 0\.0004"),
-        ({"delay": [0.1, 0.5], "actuator_delay": [0.0, 0.5]}, None),  # a decision takes 0.6 s
-        ({"track_speed": [0.001, 0.2]}, r"^episode\.stuck_progress: .*a robot of 0\.001 m/s"),
-        ({"robot": {"track_speed": [0.001, 0.2]}}, r"^episode\.stuck_progress: .*0\.001 m/s"),
-        ({"robot": {"actuator_delay": [0.0, 0.5]}, "delay": [0, 0.2]}, None),
+        ({"sim": {"friction": [1.2, 0.6]}}, r"^randomise\.sim\.friction: .*low ≤ high"),
         ({"sim": {"friction": [0.5, 20]}}, r"^randomise\.sim\.friction: .*10.*20"),
         ({"sim": {"frictoin": [0.5, 1]}}, r"^randomise\.sim\.frictoin: sim=planar.*'friction'"),
-        ({"sim": {"friction": 1}, "friction": 1}, r"sim\.friction: .*randomise\.friction samples"),
+        ({"friction": [0.5, 1]}, r"^randomise\.friction: there is no such key; .*robot, sim"),
+        ({"perception": {"dropout": [-0.5, 0.5]}}, r"^randomise\.perception\.dropout: .*-0\.5"),
+        ({"perception": {"occlusion": 1.5}}, r"^randomise\.perception\.occlusion: .*1\.5"),
+        ({"robot": {"track_radius": [0.1, 0.4]}},
+         r"^randomise\.robot\.track_radius: chassis_length \(0\.76 m\) "),
+        ({"robot": {"flipper_length": [0.21, 0.5], "track_radius": [0.08, 0.12]}},
+         r"^randomise\.robot\.flipper_length, randomise\.robot\.track_radius: flipper_length "),
+        ({"robot": {"flipper_length": [0.19, 0.5]}}, r"flipper_length: .*> 0\.2.*0\.19"),
+        ({"sim": {"substep": [0.00041, 0.005]}}, None),  # a divisor of 0.01 s beside it
+        ({"sim": {"substep": [0.0003, 0.005]}}, r"^randomise\.sim\.substep: .*> 0\.0004"),
+        ({"robot": {"actuator_delay": [0, 0.5]}, "perception": {"delay": [0.1, 0.5]}}, None),
+        ({"robot": {"track_speed": [0.001, 0.2]}}, r"^episode\.stuck_progress: .*0\.001 m/s"),
         ({"robot": {"angle_step": 0.2}}, r"^randomise\.robot\.angle_step: policies rely on it"),
         ({"perception": {"bins": [3, 9]}}, r"^randomise\.perception\.bins: policies rely on it"),
         ({"perception": {"occlusion": [0, 1]}}, r"^randomise\.perception\.occlusion: a prob"),
@@ -269,7 +268,7 @@ def test_a_setting_without_a_number_is_an_error_that_names_those_with_one() -> N
 def test_every_sampled_robot_is_possible() -> None:
     # The ends are possible together with each other, whatever the robot's own values.
     found = config(
-        **{"randomise.flipper_length": [0.21, 0.5], "randomise.track_radius": [0.05, 0.1]}
+        randomise={"robot": {"flipper_length": [0.21, 0.5], "track_radius": [0.05, 0.1]}}
     )
     for seed in range(50):
         drawn = found.sample(np.random.default_rng(seed))
@@ -279,10 +278,10 @@ def test_every_sampled_robot_is_possible() -> None:
 
 
 def test_a_sampled_value_is_validated_beside_the_others() -> None:
-    with pytest.raises(ConfigError, match=r"^randomise\.track_radius: chassis_length \(0\.76 m\)"):
-        config().with_sampled_values({"track_radius": 0.45, "flipper_length": 1.5})
+    with pytest.raises(ConfigError, match=r"^randomise\.robot\.track_radius: chassis_length"):
+        config().with_sampled_values({"robot.track_radius": 0.45, "robot.flipper_length": 1.5})
 
 
 def test_a_delay_must_fit_into_a_decision() -> None:
     with pytest.raises(ConfigError, match=r"actuator_delay: 0\.4 s is longer than a decision"):
-        config(**{"robot.angle_step": 0.1, "randomise.actuator_delay": [0.0, 0.4]})
+        config(**{"robot.angle_step": 0.1, "randomise.robot.actuator_delay": [0.0, 0.4]})

@@ -149,7 +149,7 @@ def test_the_hash_is_that_of_the_canonical_json_of_what_stands_beside_it() -> No
         ({"sim.friction": 0.9}, True),
         ({"perception.noise": 0.01}, True),
         ({"episode.start_noise": 0.1}, True),
-        ({"randomise.delay": [0, 0.1]}, True),
+        ({"randomise.perception.delay": [0, 0.1]}, True),
         ({"perception.bins": 21, "perception.bin_width": 0.1}, False),
         ({"rewards.pitch.weight": 2}, False),
         ({"eval.seed": 3, "eval.episodes": 5}, False),
@@ -182,8 +182,8 @@ def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> Non
     assert of().line() == ""
     changed = of(
         **{
-            "randomise.bias": [-0.01, 0.01],
-            "randomise.dropout": [0, 0.2],
+            "randomise.perception.bias": [-0.01, 0.01],
+            "randomise.perception.dropout": [0, 0.2],
             "randomise.perception.pitch_bias": [0, 0.1],
             "perception.noise": 0.01,
             "perception.occlusion": True,
@@ -193,14 +193,17 @@ def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> Non
         }
     )
     assert changed.line() == (
-        "randomised dropout 0 to 0.2, bias -0.01 to 0.01 m, perception.pitch_bias 0 to 0.1 rad; "
+        "randomised perception.bias -0.01 to 0.01 m, perception.dropout 0 to 0.2, "
+        "perception.pitch_bias 0 to 0.1 rad; "
         "start start_angle_noise 0.1 rad; sensing noise 0.01 m, occlusion on; "
         "physics friction 0.8; robot chassis_mass 60 kg"
     )
     assert of(
-        **{f"randomise.{n}": [0, 0.1] for n in ("noise", "dropout", "delay", "angle_noise")}
+        **{f"randomise.sim.{n}": [9, 10] for n in ("gravity", "friction")},
+        **{f"randomise.robot.{n}": [30, 40] for n in ("flipper_torque", "chassis_mass")},
     ).line() == (
-        "randomised noise 0 to 0.1 m, dropout 0 to 0.1, angle_noise 0 to 0.1 rad and 1 more"
+        "randomised sim.gravity 9 to 10 m/s², sim.friction 9 to 10, "
+        "robot.flipper_torque 30 to 40 N m and 1 more"
     )
     axes = ("sim.friction", "episode.start_noise", "terrain.height")
     assert changed.line(axes).endswith(

@@ -114,13 +114,13 @@ def test_engines_have_a_third_step_with_the_sensor() -> None:
 @pytest.mark.parametrize("spread", [None, [0, 1], [0.2, 0.4]])
 @pytest.mark.parametrize("engine", ["planar", "mujoco"])
 def test_every_sample_of_the_friction_is_doubled(engine: str, spread: object) -> None:
-    sampled = {"randomise.friction": [0.4, 0.9], "randomise.spread": spread}
+    sampled = {"randomise.sim.friction": [0.4, 0.9], "randomise.spread": spread}
     config = with_overrides(EvalConfig(terrain="step"), {"sim": engine, **sampled})
     more = with_friction(config)
     assert more is not None
     for seed in range(20):
         before, after = (c.sample(np.random.default_rng(seed)) for c in (config, more))
-        assert after["friction"] == pytest.approx(2 * before["friction"])
+        assert after["sim.friction"] == pytest.approx(2 * before["sim.friction"])
 
 
 def compared(**settings: Any) -> dict[str, Any]:

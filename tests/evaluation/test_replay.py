@@ -19,7 +19,7 @@ from flipperctl.views.run import failure_records
 LEVEL = load_policy("level", "here")
 STEP = EvalConfig(
     terrain={"name": "step", "height": 0.4},
-    randomise={"friction": [0.8, 1.0]},
+    randomise={"sim": {"friction": [0.8, 1.0]}},
     conditions="varied",
     eval={"episodes": 3, "seed": 4},
 )

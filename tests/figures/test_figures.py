@@ -162,7 +162,7 @@ def test_figures_are_drawn_under_a_backend_that_does_not_exist() -> None:
 def test_each_scene_of_an_evaluation_has_a_picture_of_its_own() -> None:
     flat = EvalConfig(terrain="flat")
     step = with_overrides(flat, {"terrain": "step"})
-    varied = with_overrides(flat, {"randomise.friction": [0.6, 1.0]})
+    varied = with_overrides(flat, {"randomise.sim.friction": [0.6, 1.0]})
     nominal_hash, varied_hash = Conditions.of(flat).hash, Conditions.of(varied).hash
     level = PolicySource(settings={"name": "level"})
     assert picture_names([Entry(config, level) for config in (flat, step, varied, flat)]) == [

@@ -161,9 +161,9 @@ eval --checkpoint: nowhere | text.safetensors | cut.safetensors | flipped.safete
 eval --checkpoint paper: conditions=trianed | agent.gamma=0.5 | robot.chassis_mass=-1
 eval --controller okada: terrain=stiar | terrain=stair,step,stiar | terrain=null | friction=1
 eval --controller okada: terrain=stair terrain.rise=-1 | train.decisions=5 | sim.friction=slippery
-eval --controller okada: randomise.friction=true | conditions=trained | --friction 0.6 | --jobs 0
+eval --controller okada: randomise.sim.friction=true | conditions=trained | --friction 0.6
 eval --controller okada: --episodes 0 | --episodes x | --episodes 3 eval.episodes=4 | --seed -1
-eval --controller okada: --baseline levl | --baseline none,okada | --passable generalist
+eval --controller okada: --baseline levl | --baseline none,okada | --passable generalist | --jobs 0
 eval --controller okada terrain=step: --by hieght | --film x.png
 map okada terrain=step: | --over terrain.height=0.1 | --over terrain.hihgt=0:1,sim.friction=0.4:1
 eval --controller okada: --output file/out | suite=nope | suite=odd.yaml

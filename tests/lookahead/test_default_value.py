@@ -112,7 +112,8 @@ def test_the_default_is_used_for_robots_like_those_of_its_training(
 
 
 def test_the_range_of_a_training_s_robots_counts(tmp_path: Path) -> None:
-    config = short_config(**{"randomise.flipper_length": [0.5, 0.6], "robot.angle_limit": 1.0})
+    lengths = {"randomise.robot.flipper_length": [0.5, 0.6]}
+    config = short_config(**{**lengths, "robot.angle_limit": 1.0})
     trainer(config, tmp_path).save()
     sizes = learned_value(str(tmp_path), "controller.value").sizes
     assert sizes["flipper_length"] == (0.5, 0.6)

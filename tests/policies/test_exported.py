@@ -10,7 +10,6 @@ import pytest
 
 from flipperctl.api import Robot
 from flipperctl.config import EnvConfig, Randomise
-from flipperctl.config.sampled import SECTION_OF
 from flipperctl.errors import CheckpointError, ConfigError, PluginError, PolicyError
 from flipperctl.policies.source import PolicySource, exported_config
 from tests.cli.call import call, refused
@@ -89,7 +88,8 @@ def build(file: Path, robot: dict[str, Any], **settings: Any) -> None:
         (
             {"flipper_speed": 0.5},
             r"a decision period of 0\.6 s .* asks for 0\.523599\)",
-            "robot.flipper_speed=0.5, or keep the file's period with randomise.flipper_speed=0.5",
+            "robot.flipper_speed=0.5, or keep the file's period with "
+            "randomise.robot.flipper_speed=0.5",
         ),
         (
             {"control_period": 0.3},
@@ -113,11 +113,11 @@ APPLIED = {"angle_step", "angle_limit", "control_period"}
 
 
 def test_what_the_robot_is_like_may_be_overridden(file: Path) -> None:
-    build(file, {}, randomise={"flipper_speed": [0.3, 0.6]})  # the decision period stays
+    build(file, {}, randomise={"robot": {"flipper_speed": [0.3, 0.6]}})  # the decision period stays
     for field in sorted(set(Robot.model_fields) - APPLIED - {"flipper_speed"}):
         default = getattr(Robot(), field)
         build(file, {field: 0.05 + 1.01 * (1.0 if default is None else default)})
-    assert not APPLIED & (SECTION_OF.keys() | Randomise.model_fields.keys())
+    assert not APPLIED & Randomise.model_fields.keys()
     assert Robot.not_sampled >= APPLIED
 
 

@@ -51,7 +51,7 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
         "perception.noise": 0.02,
         "sim.friction": 0.8,
         "episode.start_noise": 0.2,
-        "randomise.delay": [0.0, 0.1],
+        "randomise.perception.delay": [0.0, 0.1],
         "randomise.sim.gravity": [9.0, 10.0],
         "eval.episodes": 7,
     }
@@ -73,7 +73,9 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
     paths = ["randomise.sim.friction=[0.8,0.9]", "randomise.robot.track_speed=0.2"]
     changed = ["terrain=paper_stair", "conditions=trained", *paths]
     ((other, _),) = compose_eval(changed, primary)
-    assert other.randomise.names == ["delay", "sim.friction", "sim.gravity", "robot.track_speed"]
+    assert other.randomise.names == [
+        *("sim.friction", "robot.track_speed", "perception.delay", "sim.gravity")
+    ]
     with pytest.raises(ConfigError, match=r"^sim\.friction=0\.7: it has no effect"):
         compose_eval([*changed, "sim.friction=0.7"], primary)
     changed = ["terrain=paper_stair", "conditions=trained", "sim.friction=0.9"]
@@ -208,4 +210,4 @@ def test_a_configuration_folder_leaves_the_checks_of_a_training(tmp_path: Path) 
     words = ["terrain=flat", "conditions=varied", "sim.friction=0.5"]
     done = call("train", "--config-dir", "own", *words, cwd=tmp_path)
     assert done.code == 2, done.err
-    assert "sim.friction=0.5: it has no effect, since randomise.friction=" in done.err
+    assert "sim.friction=0.5: it has no effect, since randomise.sim.friction=" in done.err

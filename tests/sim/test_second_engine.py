@@ -29,10 +29,10 @@ def test_a_policy_is_trained_and_resumed_in_another_engine(tmp_path: Path) -> No
 
 
 def test_any_setting_of_the_engine_is_sampled_and_no_other(tmp_path: Path) -> None:
-    asked = ["eval", "--controller", "level", "randomise.friction=[0.8,1.2]", "--episodes", "1"]
+    asked = ["eval", "--controller", "level", "randomise.sim.friction=[0.8,1.2]", "--episodes", "1"]
     done = call(*asked, *CHOSEN, cwd=tmp_path)
     assert done.code == 2
-    assert "randomise.friction: sim=kinematic has no setting 'friction'" in done.err
+    assert "randomise.sim.friction: sim=kinematic has no setting 'friction'" in done.err
     drawn = ["eval", "--controller", "level", "randomise.sim.slowdown=[0.2,0.3]", "--episodes", "1"]
     done = call(*drawn, "--output", "out", *CHOSEN, cwd=tmp_path)
     assert "randomised sim.slowdown 0.2 to 0.3" in done.out

@@ -146,7 +146,7 @@ def elsewhere(tmp_path: Path) -> Path:
         sim={"name": "planar", "friction": 0.75},
         perception={"name": "planar", "noise": 0.01, "occlusion": True},
         episode={"slack": 4},
-        randomise={"chassis_mass": [30, 40], "sim": {"gravity": 9.8}},
+        randomise={"robot": {"chassis_mass": [30, 40]}, "sim": {"gravity": 9.8}},
     )
     (found,) = play_episodes(config, OKADA, episodes=1, seed=5, record=True)
     path = tmp_path / "elsewhere.safetensors"
@@ -178,8 +178,8 @@ def test_other_conditions_of_recorded_episodes_are_stated(elsewhere: Path, file:
     assert differing_conditions(short_config(), found) == (
         f"teacher.episodes: {elsewhere} was recorded under other conditions: sim.friction=0.75 "
         "(here 1.0), perception.noise=0.01 (here 0.0), perception.occlusion=true (here false), "
-        "episode.slack=4.0 (here 3.0), randomise.chassis_mass=[30.0,40.0] (here null), "
-        'randomise.sim={"gravity":9.8} (here null)'
+        "episode.slack=4.0 (here 3.0), randomise.sim.gravity=9.8 (here null), "
+        "randomise.robot.chassis_mass=[30.0,40.0] (here null)"
     )
     in_3d = short_config(sim={"name": "mujoco", "friction": 0.75})
     assert "sim=planar (here mujoco), perception" in differing_conditions(in_3d, found)

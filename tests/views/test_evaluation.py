@@ -257,8 +257,8 @@ def test_names_are_checked_before_an_episode_is_played() -> None:
         ("start_shift",),
     ]
     assert parse_groups(None, "--by", scenes) == []
-    varied = EvalConfig(terrain="flat", randomise={"friction": (0.6, 1.2)})
-    assert parse_groups("friction", "--by", [varied]) == [("friction",)]
+    varied = EvalConfig(terrain="flat", randomise={"sim": {"friction": (0.6, 1.2)}})
+    assert parse_groups("sim.friction", "--by", [varied]) == [("sim.friction",)]
 
 
 RECORDED = Path(__file__).parents[1] / "evaluation/recorded"
