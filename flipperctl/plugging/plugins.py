@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import cache_from_source
 from pathlib import Path
@@ -70,8 +71,29 @@ def load_commands() -> None:
     _load_group(COMMANDS)
 
 
+def installed(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group, sorted by name, of all installed packages.
+
+    The metadata of all packages is read once, and again if a folder of ``sys.path`` changes.
+    """
+    return _entries(group, tuple((place, _changed(place)) for place in sys.path))
+
+
+@cache
+def _entries(group: str, places: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    return tuple(sorted(entry_points(group=group), key=lambda e: (e.name, e.value)))
+
+
+def _changed(place: str) -> int:
+    """Return when a folder changed last [ns]; 0 if it cannot be read."""
+    try:
+        return Path(place).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
 def _load_group(group: str) -> None:
-    for entry in sorted(entry_points(group=group), key=lambda e: (e.name, e.value)):
+    for entry in installed(group):
         tried = entry.value in _loaded or entry.value in {package.module for package in broken}
         decorated = registry.get(("command", entry.name.replace(".", " ")))
         if not (tried or (decorated is not None and decorated.__module__ == entry.module)):
@@ -131,7 +153,7 @@ def _in_variable() -> list[str]:
 def folders() -> list[Path]:
     """Return the folders of the plugins at ``configured_paths`` and of installed ones."""
     places = [path if path.is_dir() else path.parent for path in map(Path, configured_paths())]
-    for entry in entry_points(group=GROUP):
+    for entry in installed(GROUP):
         file = getattr(sys.modules.get(entry.module), "__file__", None)
         if file is not None:
             places.append(Path(file).parent)
@@ -146,7 +168,7 @@ def loaded_contents() -> dict[Path, str]:
 def packages() -> dict[str, list[tuple[str, str]]]:
     """Return kind and name of the plugins of each installed package and file, by its name."""
     load_commands()
-    entries = (*entry_points(group=GROUP), *entry_points(group=COMMANDS))
+    entries = (*installed(GROUP), *installed(COMMANDS))
     owners = {entry.module.partition(".")[0]: entry.dist.name for entry in entries if entry.dist}
     inside: dict[str, list[tuple[str, str]]] = {}
     for key, cls in sorted(registry.items()):

@@ -45,11 +45,14 @@ from flipperctl.config.sampled import SECTIONS as SAMPLED
 from flipperctl.config.words import escaped
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explain_missing_training
+from flipperctl.plugging import plugins
 from flipperctl.requests import errors
 from flipperctl.requests.request import RUN_FOLDER, Request, Requests
 from flipperctl.terminal.streams import print_notices
 
 CONFIGS = str(resources.files("flipperctl.configs"))
+TRAINING = "train"
+"""Primary configuration of a training."""
 EVAL_CONTROLLER = "eval"
 """Primary configuration of an evaluation of a controller."""
 _CHECKPOINT, _EXPORT = "flipperctl_eval_trained", "flipperctl_eval_exported"
@@ -58,6 +61,8 @@ _ROBOT = "flipperctl_eval_robot"
 """Primary configuration of a controller's evaluation with a robot that a file describes."""
 _TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
+_of_choices: dict[tuple[str, tuple[str, ...]], DictConfig] = {}
+"""Hydra's compositions by primary configuration and choices, until a plugin is registered."""
 Composed = TypeVar("Composed")
 
 
@@ -88,6 +93,7 @@ def register_defaults() -> None:
     store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
     _registered.clear()
     _registered.update(registry)
+    _of_choices.clear()
 
 
 def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
@@ -111,18 +117,18 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
         store.store(group=group, name=_TRAINED, node=node)
 
     # A checkpoint's own engine, sensor and other sections become conditions.
-    primary, plugins = _EXPORT, ("sim", "perception")
+    primary, groups = _EXPORT, ("sim", "perception")
     if inherited.trained is not None:
         primary, trained = _CHECKPOINT, dict(inherited.trained)
-        for group in plugins:
+        for group in groups:
             store.store(group=group, name=_TRAINED, node=trained.pop(group))
-        choices = [{f"override /{group}": _TRAINED} for group in plugins]
+        choices = [{f"override /{group}": _TRAINED} for group in groups]
         node = {"defaults": choices, **_with_paths(trained)}
         store.store(group="conditions", name=TRAINED, node=node, package="_global_")
     # Later entries override earlier ones.
     defaults = [
         *({group: _TRAINED} for group in inherited.chosen),
-        *({group: DEFAULT_ENGINE} for group in plugins),
+        *({group: DEFAULT_ENGINE} for group in groups),
         "_self_",
         {"conditions": NOMINAL},
     ]
@@ -154,7 +160,7 @@ def compose_train(requests: Requests = Requests()) -> list[TrainConfig]:  # noqa
         ConfigError: a request is unknown, of the wrong type, out of bounds or without effect.
     """
     configs = []
-    for combination, composed in _compositions("train", requests):
+    for combination, composed in _compositions(TRAINING, requests):
         config = parse_training(composed)
         check_training_effect(config, combination)
         print_notices(config)
@@ -186,7 +192,7 @@ def check_training_effect(config: TrainConfig, requests: Requests) -> None:
 def run_directory(requests: Requests) -> Path:
     """Return the directory of a single run, ``hydra.run.dir``, for requests that compose."""
     with errors.convert_hydra_errors(), _initialized():
-        return Path(OmegaConf.select(_merged("train", requests, hydra=True), RUN_FOLDER))
+        return Path(OmegaConf.select(_merged(TRAINING, requests, hydra=True), RUN_FOLDER))
 
 
 def compose_eval(
@@ -271,16 +277,16 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
     for request in requests.expanded:
         (choices if _is_choice(request) else values).append(request)
     try:
-        composed = compose(primary, [r.text for r in choices], return_hydra_config=hydra)
+        composed = _composed(primary, tuple(r.text for r in choices), hydra=hydra)
     except MissingConfigException as error:
         raise errors.missing_choice(error) from error
     except ConfigCompositionException as error:
         # What an addition may repeat: the entries that are chosen beside it
-        present = [r.text for r in choices if not r.prefix and r.package is None]
+        present = tuple(r.text for r in choices if not r.prefix and r.package is None)
         try:
-            without = compose(primary, present)
+            without = _composed(primary, present, hydra=hydra)
         except ConfigCompositionException:
-            without = compose(primary)
+            without = _composed(primary, (), hydra=hydra)
         raise errors.wrong_choice(error, choices, without) from error
     plain: Any = OmegaConf.to_container(composed)
 
@@ -293,6 +299,25 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
             change(plain, request.key, request.value if request.typed else escaped(request.value))
     merged: DictConfig = OmegaConf.create(plain)
     return merged
+
+
+def _composed(primary: str, choices: tuple[str, ...], *, hydra: bool) -> DictConfig:
+    """Return Hydra's composition, to be read alone: equal choices of installed entries give one."""
+    fixed = primary in (TRAINING, EVAL_CONTROLLER) and not hydra
+    if not fixed or any(text.startswith("hydra") for text in choices) or not _installed_alone():
+        return compose(primary, [*choices], return_hydra_config=hydra)
+    if (primary, choices) not in _of_choices:
+        _of_choices[primary, choices] = compose(primary, [*choices])
+    return _of_choices[primary, choices]
+
+
+def _installed_alone() -> bool:
+    """Return whether no entry is a file of the user, which may change between two compositions."""
+    search = GlobalHydra.instance().config_loader().get_search_path().get_path()
+    places = {place.path.removeprefix("file://") for place in search}
+    folders = {CONFIGS, *map(str, plugins.folders())}
+    others = [place for place in places - folders if not place.startswith(("pkg:", "structured:"))]
+    return not (others or plugins.configured_paths())
 
 
 def _is_choice(request: Request) -> bool:

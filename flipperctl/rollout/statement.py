@@ -11,7 +11,7 @@ import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -64,7 +64,7 @@ class Statement:
     def of_code(cls) -> Statement:
         """Return the statement on the code of this process: libraries, packages and plugins."""
         # Installed packages with plugins belong to the code as well.
-        installed = {entry.module.partition(".")[0] for entry in entry_points(group=plugins.GROUP)}
+        installed = {entry.module.partition(".")[0] for entry in plugins.installed(plugins.GROUP)}
         packages = dict.fromkeys([*_PACKAGES, *sorted(installed)])
         names = [
             _PYTHON,

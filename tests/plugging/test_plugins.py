@@ -301,6 +301,9 @@ def test_presets_beside_a_plugin_are_found_by_one_rule(tmp_path: Path) -> None:
     words = ["terrain=ridge", "conditions=slippery", "robot=short", "rewards=calm"]
     evaluated = compose_environment(from_words(words))
     assert (evaluated.sim.friction, evaluated.robot.chassis_length) == (0.5, 0.4)
+    file = tmp_path / "conditions" / "slippery.yaml"
+    file.write_text(file.read_text().replace("0.5", "0.4"))  # it is read for each composition
+    assert compose_environment(from_words(words)).sim.friction == 0.4
     assert find_suite("ridges").scenes[0].words == ("terrain=ridge",)
     for name in presets:
         group, _, own = name.partition("/")
