@@ -21,9 +21,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import llvmlite
+import llvmlite.binding
 import numba
 import numpy as np
+from numba import types
 
 PACKAGE = Path(__file__).parents[1]
 SOURCES = ("api", "core", "lookahead", "sim")
@@ -83,6 +84,12 @@ def _bases() -> Sequence[Path]:
         return [Path(configured)]
     cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
     return PACKAGE / "__pycache__", Path(cache) / "flipperctl"
+
+
+def c_function(name: str, address: int, signature: Any) -> Any:
+    """Return a C function at an address, for calls from compiled code."""
+    llvmlite.binding.add_symbol(name, address)
+    return types.ExternalFunction(name, signature)
 
 
 def _remove_unused(used: Path) -> None:

@@ -19,6 +19,7 @@ from flipperctl.sim import jit
 MODULES = [
     "flipperctl.lookahead.dynamics",
     "flipperctl.sim.ground",
+    "flipperctl.sim.mujoco.compiled",
     "flipperctl.sim.planar.compiled",
     "flipperctl.sim.planar.rays",
 ]

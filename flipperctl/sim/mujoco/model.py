@@ -80,6 +80,7 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     slope = sim.lateral_slope
     option.gravity = [0.0, -sim.gravity * math.sin(slope), -sim.gravity * math.cos(slope)]
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)  # one robot is one island
     # The masks let the robot touch the ground, but neither the robot nor the ground touch itself.
     for box in ground:
         spec.worldbody.add_geom(

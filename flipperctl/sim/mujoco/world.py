@@ -29,6 +29,19 @@ from flipperctl.api import (
 )
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.ground import OVERLAP, height_at
+from flipperctl.sim.mujoco.compiled import (
+    HINGES,
+    Axis,
+    Scene,
+    ahead,
+    faster,
+    has_fallen,
+    left,
+    pitch_of,
+    roll_of,
+    run,
+    yaw_of,
+)
 from flipperctl.sim.mujoco.ground import GROUND_WIDTH, ROUGH_MARGIN, lay
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, add_scenery, build, specify
 from flipperctl.sim.mujoco.settings import MujocoSettings
@@ -36,12 +49,10 @@ from flipperctl.sim.mujoco.settings import MujocoSettings
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.shown import Camera, Shown
 
-Axis = tuple[float, float, float]
 
-
-def _orientation(ahead: Axis, left: Axis) -> FloatArray:
+def _orientation(forward: Axis, left: Axis) -> FloatArray:
     """Return the rotation from frame R to world by the chassis' x and y axes, (3, 3)."""
-    (a, b, c), (d, e, f) = ahead, left
+    (a, b, c), (d, e, f) = forward, left
     return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
 
 
@@ -56,9 +67,6 @@ def _quaternion(pitch: float, yaw: float) -> tuple[float, float, float, float]:
 
 
 _SIDES = 1.0, -1.0  # left and right, as in ``Model.sides``
-_LARGEST_STEER = 0.5
-"""Largest difference of a belt's speed from the robot's by steering, as a fraction [-]."""
-_STEER_AHEAD = 1.0  # steering aims at the middle of the ground this far ahead [m]
 _AVERAGING = 0.1
 """Time over which normal forces are averaged for the motors' limit; contacts hop [s]."""
 
@@ -73,34 +81,25 @@ class Tracks:
         self._force = robot.track_force
         if self._force is not None:  # a contact has the larger friction of its two shapes
             self._model.geom_friction[self._sides == 0, 0] = 0.0
-        self._share = 1.0
+        self.share = 1.0
+        """Share of the robot's speed at which the belts run, from -1 to 1 [-]."""
+        self.are_limited = self._force is not None
+        """Whether the motors limit the belts' force."""
         # A robot at rest presses half of its weight on each side.
         weight = robot.mass * sim.gravity
         self.pressed = 0.0, 0.0
         """Averaged normal forces on the left and on the right tracks [N]."""
         self.restore((weight / 2, weight / 2))
 
-    def steer(self, yaw: float, side: float) -> None:
-        """Set the belts' speeds for a heading [rad] and a distance beside the middle [m]."""
-        if self._gain:
-            faster = self._faster(yaw, side)
-            belts = self._belts * (1.0 + faster * self._sides)[:, None]
-            self._model.geom_surfacevel[:] = self._share * belts
-
     def run(self, share: float) -> None:
         """Run the belts at a share of the robot's speed, from -1 to 1."""
-        self._share = share
+        self.share = share
         self._model.geom_surfacevel[:] = share * self._belts
 
-    def _faster(self, yaw: float, side: float) -> float:
-        """Return by which fraction the left belts run faster than the robot's speed."""
-        steer = self._gain * (yaw + side / _STEER_AHEAD)
-        return min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
-
-    def speeds(self, yaw: float, side: float) -> FloatArray:
-        """Return the speeds of the left and the right belts, (2,) [m/s]."""
-        faster = self._speed * self._faster(yaw, side)
-        return self._share * np.array([self._speed + faster, self._speed - faster])
+    def speeds(self, pose: FloatArray) -> FloatArray:
+        """Return the speeds of the left and the right belts at this pose, (2,) [m/s]."""
+        difference = self._speed * faster(pose, self._gain)
+        return self.share * np.array([self._speed + difference, self._speed - difference])
 
     def limit(self, data: Any) -> None:
         """Scale the friction of each side so that its motor can supply the force of its belts.
@@ -130,9 +129,7 @@ class Tracks:
                 self._model.geom_friction[self._sides == side, 0] = usable
 
 
-_SERVO_RATE = 25.0  # velocity that a servo demands for each rad of its angle's error [1/s]
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_HINGES = slice(7, 11)  # of qpos, after the free joint
 _RAY_GROUPS = np.array([group != ROBOT_GROUP for group in range(6)], np.uint8)
 _BAD = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
@@ -171,7 +168,6 @@ class MujocoWorld:
         # The order of the draws is part of an episode: yaw, offset, then roughness.
         yaw = sim.yaw * rng.uniform(-1.0, 1.0)
         side = sim.offset * rng.uniform(-1.0, 1.0)
-        self._half_width = GROUND_WIDTH / 2
         (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
         self.strips, self.ground = lay(profile, sim, rng)
         # The scene, compiled, with belts that the loop steers
@@ -180,20 +176,36 @@ class MujocoWorld:
         built = build(spec)
         self.model, self._tracks = built.model, Tracks(built, robot, sim)
         self.data = mujoco.MjData(self.model)
+        # What the compiled loop reads and writes
+        model, data = built.model, self.data
+        self._scene = Scene(
+            model=model._address,
+            data=data._address,
+            pose=data.qpos,
+            velocities=data.ctrl,
+            torques=data.actuator_force,
+            moving=model.geom_surfacevel,
+            belts=built.belts,
+            sides=built.sides,
+            substeps=round(SAMPLE_PERIOD / sim.substep),
+            rate=robot.flipper_speed,
+            gain=sim.heading_gain,
+            up=(0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)),
+            half_width=GROUND_WIDTH / 2,
+            roll_limit=sim.roll_limit,
+        )
         # Sums over the episode, and what pictures need once they are asked for
-        self._substeps = round(SAMPLE_PERIOD / sim.substep)
-        self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
         self._work = 0.0
         self._shown: Shown | None = None
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
         # The pose of the start, moved off ground that is only in 3-D
-        self._targets = np.array([start.front, start.rear, start.front, start.rear])
+        self.command(start.front, start.rear)
         pose = self.data.qpos
         pose[:3] = start.x, side, height_at(start, profile, robot)
         pose[3:7] = _quaternion(start.pitch, yaw)
-        pose[_HINGES] = self._targets
+        pose[HINGES] = [start.front, start.rear] * 2
         self._clear(start, yaw)
 
     def _clear(self, start: Start, yaw: float) -> None:
@@ -220,7 +232,8 @@ class MujocoWorld:
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R, left and right alike [rad]."""
-        self._targets = np.array([front, rear, front, rear])
+        limited = self.robot.clip(front), self.robot.clip(rear)
+        self._targets = np.array(2 * limited)
 
     def run_belts(self, share: float) -> None:
         """Run the belts at a share of the robot's speed, from -1 to 1."""
@@ -231,41 +244,17 @@ class MujocoWorld:
 
         See ``flipperctl.api.World``.
         """
-        poses = np.empty((samples, 5))
-        for sample in range(samples):
-            self._drive()
-            before = self.data.qpos[_HINGES].copy()
-            torque = self._step()
-            # The normal forces of this sample limit the friction of the next one.
+        poses, done, over = np.empty((samples, 5)), 0, False
+        while done < samples and not over:
+            # The normal forces of a sample limit the friction of the next one.
+            until = done + 1 if self._tracks.are_limited else samples
+            state = self._targets, self._tracks.share, self._work
+            count, over, self._work = run(self._scene, *state, poses[done:until], tuple(limits))
+            done += count
             self._tracks.limit(self.data)
-            turned = self.data.qpos[_HINGES] - before
-            self._work += float(np.abs(torque * turned).sum())
-            self._samples += 1
-            x, z = self.position
-            pitch = self.pitch
-            poses[sample] = x, z, pitch, *self._angles()
-            # The poses end with the sample that ends the run.
-            if limits.reached(x, z, pitch) or self.ended() is not None:
-                poses = poses[: sample + 1]
-                break
+        self._samples += done
         self._check_divergence()
-        return poses
-
-    def _step(self) -> FloatArray:
-        """Simulate a sample; return the flippers' mean torques, since they chatter [N m]."""
-        total = np.zeros(len(self._targets))
-        for _ in range(self._substeps):
-            mujoco.mj_step(self.model, self.data)
-            total += self.data.actuator_force
-        return total / self._substeps
-
-    def _drive(self) -> None:
-        """Set the velocities of the servos and the speeds of the belts for one sample."""
-        angles = self.data.qpos[_HINGES]
-        limit, rate = self.robot.angle_limit, self.robot.flipper_speed
-        errors = np.minimum(np.maximum(self._targets, -limit), limit) - angles
-        self.data.ctrl[:] = np.minimum(np.maximum(_SERVO_RATE * errors, -rate), rate)
-        self._tracks.steer(self.yaw, float(self.data.qpos[1]))
+        return poses[:done]
 
     def _check_divergence(self) -> None:
         if any(self.data.warning[bad].number for bad in _BAD):
@@ -276,8 +265,7 @@ class MujocoWorld:
 
     def ended(self) -> Outcome | None:
         """Return OVERTURNED if the robot rolled over sideways or left the ground at its side."""
-        fell = abs(self.data.qpos[1]) > self._half_width
-        return Outcome.OVERTURNED if fell or abs(self.roll) >= self.sim.roll_limit else None
+        return Outcome.OVERTURNED if has_fallen(self._scene) else None
 
     @property
     def time(self) -> float:
@@ -293,55 +281,36 @@ class MujocoWorld:
     @property
     def pitch(self) -> float:
         """Angle of the chassis' x axis above the horizontal, past ±π/2 if it points back [rad]."""
-        x, y, z = self._axis(0)
-        _, up_y, up_z = self._up.tolist()
-        rise = y * up_y + z * up_z
-        return math.atan2(rise, math.copysign(math.sqrt(max(0.0, 1.0 - rise * rise)), x))
+        return float(pitch_of(self.data.qpos, self._scene.up))
 
     @property
     def roll(self) -> float:
         """Angle of the chassis' y axis, to the left, above the horizontal [rad]."""
-        _, y, z = self._axis(1)
-        _, up_y, up_z = self._up.tolist()
-        return math.asin(min(1.0, max(-1.0, y * up_y + z * up_z)))
+        return float(roll_of(self.data.qpos, self._scene.up))
 
     @property
     def yaw(self) -> float:
         """Heading of the chassis from the x axis, to the left positive [rad]."""
-        x, y, _ = self._axis(0)
-        return math.atan2(y, x)
-
-    def _axis(self, index: int) -> Axis:
-        """Return the chassis' x (0) or y (1) axis in world; after ``mj_step``, ``xmat`` is old."""
-        w, x, y, z = self.data.qpos[3:7].tolist()
-        if index == 0:
-            return 1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)
-        return 2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)
-
-    def _angles(self) -> tuple[float, float]:
-        """Return the angles of the front and the rear pair, the means of both sides [rad]."""
-        front_left, rear_left, front_right, rear_right = self.data.qpos[_HINGES].tolist()
-        return (front_left + front_right) / 2, (rear_left + rear_right) / 2
+        return float(yaw_of(self.data.qpos))
 
     def state(self) -> RobotState:
         """Return the current state."""
-        data, ahead, left = self.data, self._axis(0), self._axis(1)
-        front, rear = self._angles()
-        yaw, side = math.atan2(ahead[1], ahead[0]), float(data.qpos[1])
+        data, pose = self.data, self.data.qpos
+        front_left, rear_left, front_right, rear_right = pose[HINGES].tolist()
         return RobotState(
             position=np.array(self.position),
             pitch=self.pitch,
-            front=front,
-            rear=rear,
+            front=(front_left + front_right) / 2,
+            rear=(rear_left + rear_right) / 2,
             velocity=data.qvel[[0, 2]],
             pitch_rate=-float(data.qvel[4]),
             time=self.time,
             roll=self.roll,
-            yaw=yaw,
-            side=side,
+            yaw=self.yaw,
+            side=float(pose[1]),
             side_velocity=float(data.qvel[1]),
-            orientation=_orientation(ahead, left),
-            belts=self._tracks.speeds(yaw, side),
+            orientation=_orientation(ahead(pose), left(pose)),
+            belts=self._tracks.speeds(pose),
         )
 
     def flipper_work(self) -> float:

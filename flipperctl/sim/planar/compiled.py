@@ -21,7 +21,6 @@ import math
 from functools import cache
 from typing import Any, NamedTuple
 
-import llvmlite.binding
 import numpy as np
 import pymunk
 from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]  # numba's stubs lack carray
@@ -33,7 +32,7 @@ from pymunk._chipmunk_cffi import ffi, lib
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Limits, Robot
 from flipperctl.api.engines import is_over
 from flipperctl.errors import ConfigError
-from flipperctl.sim.jit import cached
+from flipperctl.sim.jit import c_function, cached
 
 TRACK, GROUND = 1, 2
 """Collision types of the tracks and of the ground."""
@@ -149,8 +148,7 @@ def address(pointer: Any) -> int:
 
 def _c_function(name: str, signature: Any) -> Any:
     """Return a function of pymunk's C library for calls from compiled code."""
-    llvmlite.binding.add_symbol(name, address(ffi.addressof(lib, name)))
-    return types.ExternalFunction(name, signature)
+    return c_function(name, address(ffi.addressof(lib, name)), signature)
 
 
 _step = _c_function("cpSpaceStep", types.void(types.uintp, types.float64))
