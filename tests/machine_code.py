@@ -1,4 +1,4 @@
-"""Compiles the simulator and the prediction model into numba's cache.
+"""Compiles the simulators and the prediction model into numba's cache.
 
     python -m tests.machine_code
 
@@ -19,9 +19,10 @@ def compile_environment() -> None:
 
     thinned(Profile([(0.001 * i, 0.0001 * i) for i in range(2000)]), 0.1)
     static_bound(np.zeros((1, 2)), Robot(), start=0.0, finish=0.1)
-    env = FlipperEnv("flat", **{"perception.occlusion": True})
-    env.reset(seed=0)
-    env.step(4)
+    for sim in ("planar", "mujoco"):
+        env = FlipperEnv("flat", sim=sim, **{"perception.occlusion": True})
+        env.reset(seed=0)
+        env.step(4)
 
 
 if __name__ == "__main__":
