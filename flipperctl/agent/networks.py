@@ -7,7 +7,6 @@ on one observation, in ``train()`` and in ``eval()`` mode, and the actions that 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol, runtime_checkable
@@ -118,45 +117,23 @@ def _check_state(network: Network, module: torch.nn.Module) -> None:
 
 
 def _separate_memory(network: Network, module: torch.nn.Module) -> None:
-    """Give every parameter and buffer elements of its own, so that each can be written.
+    """Refuse two tensors of one memory, and write expanded tensors out in full.
 
-    A tensor may have several names. Two tensors that share elements are refused: training and
-    loading would write one over the other. An expanded tensor is written out in full.
-
-    Raises:
-        ConfigError: two tensors share elements; the text names both.
+    Training and loading would write one over the other. A tensor may have several names.
     """
-    tensors = [
-        (name, tensor)
-        for name, tensor in (*module.named_parameters(), *module.named_buffers())
-        if not torch.nn.parameter.is_lazy(tensor)
-    ]
-    # The elements of each memory with the tensor that has them, if several tensors share it.
-    owners: dict[int, NDArray[np.int64]] = {}  # of each element of a memory, counted from 1
-    with naming(network, "build", ConfigError):  # a sparse tensor has no such memory
-        shared = Counter(tensor.untyped_storage().data_ptr() for _, tensor in tensors)
-        for number, (name, tensor) in enumerate(tensors, start=1):
-            storage = tensor.untyped_storage()
-            if shared[storage.data_ptr()] == 1:
-                continue
-            size = storage.nbytes() // tensor.element_size()
-            owner = owners.setdefault(storage.data_ptr(), np.zeros(size, np.int64))
-            # The numbers of the elements that this tensor views.
-            place = torch.arange(size).as_strided(
-                tensor.shape, tensor.stride(), tensor.storage_offset()
-            )
-            if other := int(owner[place].max(initial=0)):
-                raise refusal(
-                    network,
-                    "build",
-                    f"gives {tensors[other - 1][0]!r} and {name!r} the same memory; to tie "
-                    "weights, assign the parameter itself, or else give one of them a clone()",
-                    ConfigError,
-                )
-            owner[place] = number
-        # Expanded tensors become whole, so that each element can be written.
-        for _, tensor in tensors:
+    owners: dict[int, str] = {}
+    for name, tensor in (*module.named_parameters(), *module.named_buffers()):
+        if torch.nn.parameter.is_lazy(tensor):
+            continue
+        with naming(network, "build", ConfigError):  # a sparse tensor has no such memory
+            place = tensor.untyped_storage().data_ptr()
             tensor.data = tensor.data.contiguous()
+        if place and (other := owners.setdefault(place, name)) != name:
+            text = (
+                f"gives {other!r} and {name!r} the same memory; to tie weights, assign the "
+                "parameter itself, or else give one of them a clone()"
+            )
+            raise refusal(network, "build", text, ConfigError)
 
 
 def outputs(kind: ActionKind) -> int:

@@ -202,24 +202,6 @@ class State(Record):
         """Best validation so far."""
         return max(self.validations, key=lambda v: v.score(self.best_by), default=None)
 
-    @model_validator(mode="after")
-    def _counts_agree(self) -> State:
-        # Each counter with its bound: a file may be of any origin.
-        limits = [
-            ("episode", self.episode, "decision", self.decision),
-            ("lost", self.lost, "started", self.started),
-        ]
-        for at, request in enumerate(self.orders):
-            limits += [
-                (f"orders.{at}.version", request.version, "updates", self.updates),
-                (f"orders.{at}.decision", request.decision, "decision", self.decision),
-                (f"orders.{at}.episode", request.episode, "started - 1", self.started - 1),
-            ]
-        for name, value, bound, limit in limits:
-            if value > limit:
-                raise ValueError(f"{name} is {value}, above {bound}, which is {limit}")
-        return self
-
 
 class Document(Record):
     """The document of a checkpoint of kind ``best`` (a policy) or ``last`` (a whole run)."""
