@@ -137,7 +137,7 @@ def test_a_subcommand_that_fails_names_its_line(tmp_path: Path) -> None:
     file = saved("tutorials/command.md", "rougher.py", tmp_path)
     file.write_text(file.read_text().replace("    terrains =", "    1 / 0\n    terrains ="))
     error = refused("rougher", "level", "--plugins", file.name, cwd=tmp_path, code=1)
-    assert re.search(r"command 'rougher': run raised ZeroDivisionError: .*rougher\.py:\d+\)", error)
+    assert re.search(r"command 'rougher': rougher raised ZeroDivisionError: .*rougher\.py:\d+\)", error)
 
 
 def test_installed_subcommands_are_listed_and_a_broken_one_is_a_warning(tmp_path: Path) -> None:
@@ -145,6 +145,7 @@ def test_installed_subcommands_are_listed_and_a_broken_one_is_a_warning(tmp_path
     for name, typed, body in (
         ("whole", "robot.tally", "def run(): 'Count the robots.'; print(1)"),
         ("half", "half", "import no_such_library"),
+        ("split", "split", "def run(): 'Split hairs.'; 1 / 0"),
     ):
         (tmp_path / f"a_{name}.py").write_text(f"{body}\n")
         info = tmp_path / f"{name}-1.0.dist-info"
@@ -170,6 +171,10 @@ def test_installed_subcommands_are_listed_and_a_broken_one_is_a_warning(tmp_path
     failed = typed("half")
     assert failed.returncode == 2
     assert "a_half.py:1: ModuleNotFoundError" in failed.stderr
+    failed = typed("split")
+    assert failed.returncode == 1
+    assert "command 'split': run raised ZeroDivisionError" in failed.stderr
+    assert "a_split.py:1)" in failed.stderr
 
 
 @pytest.mark.parametrize(

@@ -275,7 +275,7 @@ class App(typer.Typer):
             return typer.main.get_command(group)
         run, cls = self._function(name)
         if name not in self._functions:
-            run = plugged.with_plugins((*self._words, name), run)
+            run = plugged.with_plugins(run)
         alone = typer.Typer(
             add_completion=False, rich_markup_mode="rich", pretty_exceptions_enable=False
         )

@@ -13,9 +13,6 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import typer
-from typer.exceptions import TyperException
-
 from flipperctl.cli import options
 from flipperctl.errors import FlipperctlError, PluginError
 from flipperctl.terminal.streams import print_note
@@ -29,7 +26,7 @@ GROUP = "flipperctl.commands"
 """Entry points; in their names a dot separates the group, as in ``robot.check``."""
 _VARIABLE = "FLIPPERCTL_PLUGINS"
 _OWN = "flipperctl."
-"""Begin of the modules whose functions need neither guard nor registry."""
+"""Begin of the modules whose functions need no registry."""
 
 
 def names(group: Words) -> list[str]:
@@ -60,30 +57,22 @@ def function(words: Words) -> Callable[..., Any]:
         plugins.load_commands()
         plugins.broken_plugins([" ".join(words)])  # which raises its reason
         raise PluginError(f"the command {' '.join(words)} does not load: {error}") from error
+    # Errors of its code name the plugins that are registered.
+    if not entry.module.startswith(_OWN) and words not in _registered():
+        from flipperctl.api import command
+
+        command(" ".join(words))(run)
     return run
 
 
-def with_plugins(words: Words, run: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function that takes ``--plugins``, and whose errors name a stranger's plugin."""
+def with_plugins(run: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function that takes ``--plugins``, as every command does."""
     signature = inspect.signature(run, eval_str=True)
 
     @functools.wraps(run)
     def command(*, plugins: object = None, **values: Any) -> Any:
-        try:
-            return run(**values)
-        except (FlipperctlError, TyperException, typer.Exit, typer.Abort):
-            raise
-        except Exception as error:
-            if run.__module__.startswith(_OWN):
-                raise
-            from flipperctl.api.commands import command_class
-            from flipperctl.plugging.guard import raise_named
+        return run(**values)
 
-            plugin = command_class(run)
-            plugin.plugin_name = " ".join(words)
-            raise_named(error, plugin, "run")
-
-    # Every command loads plugins, so that each has the option.
     extra = inspect.Parameter(
         "plugins", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=options.PluginPaths
     )

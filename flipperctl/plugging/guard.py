@@ -14,10 +14,9 @@ from __future__ import annotations
 import inspect
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from numbers import Real
-from pathlib import Path
 from types import FrameType
 from typing import Any, NoReturn
 
@@ -101,19 +100,17 @@ def raise_named(
     while_: str = "",
     plain: bool = False,
 ) -> NoReturn:
-    """Raise an error that names the plugin whose ``method`` raised ``error``.
+    """Raise an error that names the plugin whose ``method`` raised ``error``, or one inside it.
 
-    If another plugin that this one called raised the error, the text names that other plugin.
-    ``plain`` leaves out the exception's type, for methods that raise it to refuse a request. If no
-    plugin is at fault, ``error`` itself is raised: an interrupt, or an error of the core that
-    passed through the plugin.
+    ``plain`` leaves out the exception's type, for methods that raise it to refuse a request. An
+    interrupt, or an error of the core that passed through the plugin, is raised as it is.
     """
-    if isinstance(error, KeyboardInterrupt | FlipperctlError) and not _innermost_call(error):
-        raise error
     if called := _innermost_call(error):
         culprit, entered = _culprit(called)
         plugin, method = (culprit, entered) if culprit else (plugin, method)
-    where = error_place(error, plugin, method)
+    elif isinstance(error, KeyboardInterrupt | FlipperctlError):
+        raise error
+    where = place(error) or definition(plugin, method)
     if plain:
         raise raised(f"{plugin_label(plugin)}: {_text(error)} ({method}, {where})") from error
     raise _named(error, f"{plugin_label(plugin)}{while_}: ", method, where, raised) from error
@@ -169,22 +166,16 @@ def error_line(error: BaseException) -> str:
 
 
 def short_repr(value: object) -> str:
-    """Return the ``repr`` of a value as one short line, even if ``repr`` fails."""
-    return _one_line(_call_safely(repr, value), 60)
+    """Return the ``repr`` of a value as one short line."""
+    return _one_line(repr(value), 60)
 
 
-def error_place(error: BaseException, plugin: Plugin | type[Plugin], method: str) -> str:
-    """Return file and line of the plugin's code that raised the error, else of the method."""
-    return _last(_outside(traceback.walk_tb(error.__traceback__))) or definition(plugin, method)
+def place(error: BaseException, package: str = "") -> str:
+    """Return file and line of the innermost frame outside the core and its libraries, or "".
 
-
-def import_place(error: BaseException, file: Path | None) -> str:
-    """Return the file and line, in a plugin's ``file`` or else outside the core, of an error."""
-    # The plugin's own file tells most, then other files outside the core.
-    steps = [s for s in traceback.walk_tb(error.__traceback__) if not _is_core(s[0])]
-    steps = [s for s in steps if not s[0].f_code.co_filename.startswith("<")]
-    inside = [s for s in steps if file is not None and s[0].f_code.co_filename == str(file)]
-    return _last(inside or _outside(steps) or steps)
+    ``package``: one of a plugin that is not registered yet.
+    """
+    return _last(_outside(traceback.walk_tb(error.__traceback__), package))
 
 
 def definition(plugin: Plugin | type, method: str = "") -> str:
@@ -205,43 +196,37 @@ _Steps = list[tuple[FrameType, int]]
 """Frames of a traceback with their lines, the outermost first."""
 
 
-def _outside(steps: Iterable[tuple[FrameType, int]]) -> _Steps:
+def _outside(steps: Iterable[tuple[FrameType, int]], package: str = "") -> _Steps:
     """Return the steps outside the core and its libraries, installed plugins included."""
-    packages = {_package(cls.__module__) for cls in registry.values()} - {_CORE}
+    packages = {package, *(_package(cls.__module__) for cls in registry.values())} - {_CORE}
     return [s for s in steps if _is_foreign(s[0]) or _package(_module(s[0])) in packages]
 
 
 def _innermost_call(error: BaseException) -> _Steps:
     """Return the core's innermost call of a plugin: its own frame, then the plugin's frames.
 
-    Empty if no plugin is at fault: what calls the core, such as a script, is none, and neither an
-    interrupt nor an error of the core's own is a plugin's.
+    Empty of an interrupt, or of an error of the core's own, as of a wrong argument.
     """
-    # An error of the core's own, as of a wrong argument, is no plugin's.
     steps = list(traceback.walk_tb(error.__traceback__))
     is_core_error = isinstance(error, FlipperctlError) and bool(steps) and _is_core(steps[-1][0])
     if is_core_error or isinstance(error, KeyboardInterrupt):
         return []
-
-    # From the inside: the first call by the core that leads out of it
+    # From the inside: the first frame of the core that leads out of it
     for at in reversed(range(len(steps))):
         frame = steps[at][0]
-        called = _outside(steps[at:])
-        if called and _is_core(frame) and _module(frame) != __name__:
+        if _is_core(frame) and _module(frame) != __name__ and (called := _outside(steps[at:])):
             return [steps[at], *called]
     return []
 
 
 def _culprit(called: _Steps) -> tuple[Plugin | type[Plugin] | None, str]:
-    """Return the plugin that ran innermost, if a frame has it, and the method that was called."""
-    # The innermost frame whose self or cls is a plugin
+    """Return the plugin that ran innermost, if a frame has it, and its method there."""
     for frame, _ in reversed(called):
         for name in ("self", "cls"):
             owner: Any = frame.f_locals.get(name)
             cls = owner if isinstance(owner, type) else type(owner)
             if issubclass(cls, Plugin) and _package(cls.__module__) != _CORE:
-                entered = next(f for f, _ in called[1:] if f.f_locals.get(name, owner) is owner)
-                return owner, entered.f_code.co_name
+                return owner, frame.f_code.co_name
     return None, called[1][0].f_code.co_name
 
 
@@ -250,7 +235,7 @@ def _text(error: BaseException) -> str:
         first = error.errors()[0]
         setting = ".".join([error.title, *map(str, first["loc"])])
         return _one_line(f"{setting}: {first['msg'].removeprefix('Value error, ')}", _LONGEST)
-    text = _call_safely(str, error).partition("For further information visit")[0].rstrip()
+    text = str(error).partition("For further information visit")[0].rstrip()
     return _one_line(text, _LONGEST)
 
 
@@ -278,15 +263,6 @@ def _is_foreign(frame: FrameType) -> bool:
     """Return whether the code belongs neither to flipperctl's core nor to a library."""
     file = frame.f_code.co_filename
     return not (_is_core(frame) or file.startswith(("<", *_LIBRARIES)))
-
-
-def _call_safely(how: Callable[[Any], str], value: object) -> str:
-    try:
-        return how(value)
-    except KeyboardInterrupt:
-        raise
-    except BaseException:  # noqa: BLE001  # a plugin's own __str__ may raise anything
-        return f"<{type(value).__name__}>"
 
 
 def _one_line(text: str, longest: int) -> str:

@@ -331,7 +331,7 @@ def _import(name: str, label: str, file: Path | None, run: Callable[[], object])
         if isinstance(error, KeyboardInterrupt):
             raise
         raise PluginError(
-            f"plugin {label} does not import: {_describe_failure(error, file)}"
+            f"plugin {label} does not import: {_describe_failure(error, file, name)}"
         ) from error
     if fresh and len(registry) == len(before):
         _forget(name, *(set(sys.modules) - modules))
@@ -352,11 +352,11 @@ def _forget(name: str, *others: str) -> None:
             vars(sys.modules[package]).pop(leaf, None)
 
 
-def _describe_failure(error: BaseException, file: Path | None) -> str:
+def _describe_failure(error: BaseException, file: Path | None, name: str) -> str:
     """Return the file and line in the plugin that led to the error, and the error."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
-    place = guard.import_place(error, file)
+    place = guard.place(error, name.partition(".")[0])
     text = f"{place}: {guard.error_line(error)}" if place else guard.error_line(error)
     missing = error.name if isinstance(error, ModuleNotFoundError) and error.name else ""
     if file is not None and missing and (file.parent / f"{missing}.py").is_file():

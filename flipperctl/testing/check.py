@@ -31,7 +31,7 @@ from flipperctl.api import IntRange, Plugin, Range, registry
 from flipperctl.config import resolver
 from flipperctl.errors import ConfigError, ConformanceError, FlipperctlError
 from flipperctl.plugging import plugins as loader
-from flipperctl.plugging.guard import error_line, error_place, plugin_label
+from flipperctl.plugging.guard import definition, error_line, place, plugin_label
 
 _MODULES = {
     "terrain": "terrain",
@@ -207,7 +207,8 @@ def _failure(run: Callable[[], None], plugin: Plugin | type[Plugin]) -> Conforma
     except (SkipTest, KeyboardInterrupt):
         raise
     except BaseException as error:  # noqa: BLE001  # the plugin's own code may raise anything
-        where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
+        of_core = isinstance(error, FlipperctlError)
+        where = "" if of_core else f" ({place(error) or definition(plugin)})"
         failure = ConformanceError(f"raises {error_line(error)}{where}")
         failure.__cause__ = error
         return failure

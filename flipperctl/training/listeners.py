@@ -247,7 +247,7 @@ class GuardedLogger:
         if listener is not None and method != "close":
             with contextlib.suppress(Exception):
                 listener.close()
-        where = guard.error_place(error, self._logger, method)
+        where = guard.place(error) or guard.definition(self._logger, method)
         self._warn(
             f"warning: {guard.plugin_label(self._logger)}: {method} raised "
             f"{guard.error_line(error)} ({where}); the training continues without it"
