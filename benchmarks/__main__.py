@@ -9,7 +9,7 @@ import typer
 
 from benchmarks.settings import MEASURES, run
 from flipperctl.cli import options
-from flipperctl.cli.command import App, TrainingCommand
+from flipperctl.cli.command import App, Command
 from flipperctl.cli.main import run_app
 from flipperctl.commands import bench
 from flipperctl.process import entry
@@ -44,7 +44,7 @@ change nothing there.
 app = App(add_completion=False)
 
 
-@app.command(help=HELP, cls=TrainingCommand)
+@app.command(help=HELP, cls=Command)
 def benchmarks(
     arguments: Annotated[
         list[str] | None,

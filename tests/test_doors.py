@@ -137,7 +137,8 @@ def test_a_subcommand_that_fails_names_its_line(tmp_path: Path) -> None:
     file = saved("tutorials/command.md", "rougher.py", tmp_path)
     file.write_text(file.read_text().replace("    terrains =", "    1 / 0\n    terrains ="))
     error = refused("rougher", "level", "--plugins", file.name, cwd=tmp_path, code=1)
-    assert re.search(r"command 'rougher': rougher raised ZeroDivisionError: .*rougher\.py:\d+\)", error)
+    assert "command 'rougher': rougher raised ZeroDivisionError: " in error
+    assert re.search(r"rougher\.py:\d+\)", error)
 
 
 def test_installed_subcommands_are_listed_and_a_broken_one_is_a_warning(tmp_path: Path) -> None:

@@ -278,7 +278,7 @@ def find(run_or_file: Path, prefer: Path = BEST, controllers: Sequence[str] = ()
         known = sorted([*shipped_policies(), *controllers])
         also = ", shipped policy or controller" if controllers else " or shipped policy"
         hint = _run_beside(run_or_file) or (
-            missing_name("controller", str(run_or_file), known)
+            missing_name(str(run_or_file), known)
             if controllers
             else close_match(str(run_or_file), known)
         )

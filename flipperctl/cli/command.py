@@ -8,9 +8,8 @@ from __future__ import annotations
 import copy
 import inspect
 import re
-import shlex
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
@@ -18,8 +17,6 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from flipperctl.cli import plugged
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.terminal.streams import print_note
-
-FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 class Command(TyperCommand):
@@ -29,8 +26,6 @@ class Command(TyperCommand):
     """Options that the subcommand passes on unchanged."""
     context: ClassVar[dict[str, bool]] = {}
     """Settings of click's context."""
-    primary: ClassVar[str] = "eval"
-    """What the subcommand's overrides configure: an evaluation or a training."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters; help shows no type behind those without a value."""
@@ -67,32 +62,7 @@ class Command(TyperCommand):
         for typed in filter(None, (values.get(argument.name) for argument in arguments)):
             words += [typed] if isinstance(typed, str) else typed
         known = [name for option in options for name in option.opts] + [*self.foreign_options]
-        for word in words:
-            name = word.partition("=")[0]
-            if name.startswith("-") and name not in ("-", *known):
-                taken = " ".join(str(argument.metavar) for argument in arguments)
-                primary = self.primary if re.search(r"OVERRIDE|\[SETTING\.\.\.\]", taken) else None
-                value = _value(name, args)
-                raise _unknown(name, value, known, primary, takes_run="RUN" in taken)
-
-
-class TrainingCommand(Command):
-    """A subcommand whose overrides configure a training."""
-
-    primary = "train"
-
-
-_PARSERS: dict[Callable[..., Any], type[Command]] = {}
-
-
-def parsed_by(cls: type[Command]) -> Callable[[FunctionT], FunctionT]:
-    """Return a decorator for a function whose options a subclass of ``Command`` parses."""
-
-    def decorate(function: FunctionT) -> FunctionT:
-        _PARSERS[function] = cls
-        return function
-
-    return decorate
+        _refuse_unknown(words, known)
 
 
 class Subcommands(MutableMapping[str, Any]):
@@ -159,14 +129,9 @@ class Group(TyperGroup):
         """Parse the words up to the name of a subcommand."""
         options = [p for p in self.get_params(ctx) if isinstance(p, TyperOption)]
         known = [name for option in options for name in option.opts]
-        for word in [] if ctx.resilient_parsing else args:
-            name = word.partition("=")[0]
-            if not name.startswith("-") or name in ("-", "--"):
-                break
-            if name not in known:
-                named = next((self.commands[w] for w in args if w in self.commands), None)
-                value = "" if (typed := _value(name, args)) in self.commands else typed
-                raise _unknown(name, value, known, getattr(named, "primary", "train"))
+        ends = (at for at, word in enumerate(args) if not word.startswith("-") or word == "--")
+        if not ctx.resilient_parsing:  # words up to the subcommand
+            _refuse_unknown(args[: next(ends, len(args))], known)
         return super().parse_args(ctx, args)
 
 
@@ -177,54 +142,17 @@ def _without_types(parameters: list[Any]) -> list[Any]:
     return parameters
 
 
-def _unknown(
-    name: str, value: str, known: list[str], primary: str | None, *, takes_run: bool = False
-) -> RequestError:
-    """Explain an unknown option by the setting it stands for, or by a close match.
-
-    ``known``: the subcommand's options; ``primary``: the configuration of its overrides;
-    ``takes_run``: whether it takes a run or a policy without an option.
-    """
+def _refuse_unknown(words: Sequence[str], known: Sequence[str]) -> None:
+    """Refuse an option among the words that is not ``known``, with a close match."""
     from flipperctl.text.messages import closest, suggestion
 
-    key = name.lstrip("-").replace("-", "_")
-    start = f"no such option: {name}"
-    if settings := list(_settings(key, primary)) if primary else []:
-        words = (shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in settings)
-        return RequestError(f"{start}; settings are written as {' or '.join(words)}")
-    if name == "--checkpoint" and takes_run:
-        return RequestError(f"{start}; write {value or 'the run or policy'} alone")
-    if name == "--checkpoint" and primary == "train":
-        return RequestError(
-            f"{start}; agent.start_from={value or 'RUN_OR_FILE'} begins with its weights, and "
-            "--resume goes on with a run"
-        )
-    options = {option.removeprefix("--"): option for option in known if option.startswith("--")}
-    close = closest(name.lstrip("-"), options)
-    return RequestError(start + suggestion(*([options[close]] if close else [])))
-
-
-def _settings(key: str, primary: str) -> Iterator[str]:
-    """Yield the paths of settings that equal ``key`` or end with it."""
-    from flipperctl.config import EvalConfig
-    from flipperctl.config.defaults import CHOICES
-    from flipperctl.config.describe import paths_named
-    from flipperctl.plugging import plugins
-    from flipperctl.requests.compose import compose_train, only_one
-
-    plugins.load()
-    config = only_one(compose_train())
-    sections = type(config).model_fields if primary == "train" else EvalConfig.model_fields
-    yield from paths_named(key, config, sections, CHOICES)
-
-
-def _value(name: str, args: Sequence[str]) -> str:
-    """Return the value that was typed for the option ``name``, or an empty text."""
-    names = [word.partition("=")[0] for word in args]
-    at = names.index(name) if name in names else len(args)  # a group as in -xm is split
-    value = args[at].partition("=")[2] if at < len(args) else ""
-    after = args[at + 1] if at + 1 < len(args) else "-"
-    return after if not value and not after.startswith("-") and "=" not in after else value
+    for name in (word.partition("=")[0] for word in words if word.startswith("-")):
+        if name not in ("-", *known):
+            long = {option.removeprefix("--"): option for option in known if option[:2] == "--"}
+            close = closest(name.lstrip("-"), long)
+            hint = suggestion(*([long[close]] if close else []))
+            written = hint or "; policies are words, and settings key=value"
+            raise RequestError(f"no such option: {name}{written}")
 
 
 class App(typer.Typer):
@@ -299,10 +227,8 @@ class App(typer.Typer):
         return self._groups.get(name)
 
     def _function(self, name: str) -> tuple[Callable[..., Any], type[Command]]:
-        if name in self._functions:
-            return self._functions[name]
-        run = plugged.function((*self._words, name))
-        return run, _PARSERS.get(run, Command)
+        known = self._functions.get(name)
+        return known or (plugged.function((*self._words, name)), Command)
 
 
 NO_FLAGS = {"default_map": {"help": False}}

@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from flipperctl.cli import evaluate, inspect, lookup, plot, reward, train, write
-from flipperctl.cli.command import App, TrainingCommand
+from flipperctl.cli.command import App
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.process import entry
 from flipperctl.terminal.streams import (
@@ -57,7 +57,7 @@ _views.add("terrain", inspect.terrain)
 _views.add("reward", reward.reward)
 _views.add("checkpoint", inspect.checkpoint)
 _views.add("run", inspect.run)
-_views.add("config", inspect.config, TrainingCommand)
+_views.add("config", inspect.config)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -8,11 +8,11 @@ from typing import Annotated, ClassVar
 import typer
 
 from flipperctl.cli import options
-from flipperctl.cli.command import TrainingCommand
+from flipperctl.cli.command import Command
 from flipperctl.errors import RequestError
 
 
-class TrainCommand(TrainingCommand):
+class TrainCommand(Command):
     """The subcommand, which passes Hydra's options on."""
 
     foreign_options = (

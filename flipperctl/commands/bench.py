@@ -10,7 +10,6 @@ from typing import Annotated
 import typer
 
 from flipperctl.cli import options
-from flipperctl.cli.command import TrainingCommand, parsed_by
 from flipperctl.errors import RequestError
 from flipperctl.terminal.streams import print_note, show
 
@@ -18,7 +17,6 @@ Small = Annotated[bool, typer.Option("--small", help="Run all in seconds, to tes
 OutputFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")]
 
 
-@parsed_by(TrainingCommand)
 def bench(
     words: Annotated[
         list[str] | None,

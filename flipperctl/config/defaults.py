@@ -176,7 +176,7 @@ def missing_entry(
     """
     plugin = bool(registered_names(group))
     what = f"{group} plugin" if plugin else _ENTRY_NAMES.get(group, group)
-    hint = missing_name(group, name, known) if plugin else close_match(name, known) or broken_hint()
+    hint = missing_name(name, known) if plugin else close_match(name, known) or broken_hint()
     return ConfigError(
         f"{path or group}: there is no {what} {name!r}{hint}; "
         f"known: {', '.join(sorted(known)) or 'none'}"

@@ -5,7 +5,7 @@ In: frozen settings, plugins among them at any depth. Out: one ``Setting`` for e
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any, Literal, get_args, get_origin
@@ -103,22 +103,6 @@ def describe_plugin(kind: str, name: str) -> dict[str, Any]:
         "source": guard.definition(cls),
         "fields": [asdict(field) for field in fields(cls)],
     }
-
-
-def paths_named(
-    key: str, config: Settings, sections: Collection[str], choices: Collection[str]
-) -> list[str]:
-    """Return the paths that ``key`` may mean: a whole path, or the end of at most three.
-
-    They lie in ``sections`` of ``config``; ``choices`` are further keys.
-    """
-    # A whole key wins over the end of another one.
-    paths = [s.path for s in settings(config) if s.path.partition(".")[0] in sections]
-    section, dot, _ = key.partition(".")
-    if key in (*choices, *paths) or (dot and section in sections):
-        return [key]
-    ends = [path for path in paths if path.rpartition(".")[2] == key]
-    return ends if len(ends) <= 3 else []
 
 
 def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:

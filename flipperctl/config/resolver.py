@@ -71,7 +71,7 @@ def get(kind: str, name: object, where: str) -> type[Plugin]:
         return cls
     known = registered_names(kind)
     raise ConfigError(
-        f"{where}: there is no {kind} plugin {name!r}{missing_name(kind, str(name), known)}; "
+        f"{where}: there is no {kind} plugin {name!r}{missing_name(str(name), known)}; "
         f"registered: {', '.join(known) or 'none'}"
     )
 

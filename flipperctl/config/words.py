@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from itertools import zip_longest
 from typing import Any
 
 from flipperctl.errors import ConfigError, RequestError
@@ -33,24 +32,13 @@ def check_different(where: str, values: Sequence[object]) -> None:
 
 def check_words(overrides: Sequence[str]) -> None:
     """Refuse a word that is no override, and a key with two, of which Hydra takes the last."""
-    before = ""
-    for word, after in zip_longest(overrides, overrides[1:], fillvalue=""):
+    for word in overrides:
         key, equals, _ = word.lstrip("+~").partition("=")
-        if not equals and after.startswith("="):
-            raise ConfigError(f"{word} {after}: write key=value without spaces around the =")
-        if equals and not key.strip():
-            raise ConfigError(f"{word!r} has no key; write key=value, as in terrain=stair")
-        if not equals and not word.startswith("~"):
-            hint = ""
-            if before:
-                key, _, value = before.partition("=")
-                hint = (
-                    f"; if it belongs to {before!r}, write {quote_override(key, f'{value} {word}')}"
-                )
+        if (equals and not key.strip()) or not (equals or word.startswith("~")):
             raise ConfigError(
-                f"{word!r} is no override; write key=value, as in terrain=stair{hint}"
+                f"{word!r} is no override; write key=value without spaces around the =, and "
+                "quotes around a value with spaces"
             )
-        before = word
     first_words: dict[str, str] = {}
     for word in overrides:
         if (key := key_of(word)) in first_words:
@@ -63,11 +51,6 @@ def check_words(overrides: Sequence[str]) -> None:
 def unreadable(word: str) -> ConfigError:
     """Return the error for an override that Hydra cannot parse."""
     key, _, value = word.partition("=")
-    if re.search(r"\s[+~]*[\w./@]+=", value):
-        return ConfigError(
-            f"{word!r}: if this word holds several overrides, leave the quotes around them out: "
-            f"{word}; if it is one value, quote it: {quote_override(key, value)}"
-        )
     return ConfigError(
         f"{word!r}: Hydra cannot read this override; if its value is meant as it stands, quote "
         f"it: {quote_override(key, value)}"

@@ -185,9 +185,7 @@ def plugin_keys(names: Sequence[str]) -> list[tuple[str, str]]:
         package = {_canonical(p): keys for p, keys in inside.items()}.get(_canonical(name), [])
         if not package and name not in known:
             also = [*known, *inside]
-            raise PluginError(
-                f"there is no plugin or package {name!r}{missing_name('', name, also)}"
-            )
+            raise PluginError(f"there is no plugin or package {name!r}{missing_name(name, also)}")
         selected |= {*package, *(key for key in registry if key[1] == name)}
     return sorted(selected if names else registry)
 

@@ -281,13 +281,7 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
     except MissingConfigException as error:
         raise errors.missing_choice(error) from error
     except ConfigCompositionException as error:
-        # What an addition may repeat: the entries that are chosen beside it
-        present = tuple(r.text for r in choices if not r.prefix and r.package is None)
-        try:
-            without = _composed(primary, present, hydra=hydra)
-        except ConfigCompositionException:
-            without = _composed(primary, (), hydra=hydra)
-        raise errors.wrong_choice(error, choices, without) from error
+        raise errors.wrong_choice(error, choices, _composed(primary, (), hydra=hydra)) from error
     plain: Any = OmegaConf.to_container(composed)
 
     # In their order, so that a later request may lie within an earlier one

@@ -6,8 +6,6 @@ one line. The text of an exception is never parsed.
 
 from __future__ import annotations
 
-import sys
-import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -20,6 +18,7 @@ from hydra.errors import (
 )
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from flipperctl.api import Learner
 from flipperctl.api.plugin import registered_names
@@ -27,57 +26,27 @@ from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import CHOICES, missing_entry
 from flipperctl.config.merge import MISSING, find
 from flipperctl.config.words import unreadable
-from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
+from flipperctl.errors import ConfigError, MissingExtraError, RequestError
 from flipperctl.requests.request import Request
 from flipperctl.text.messages import explain_unknown_key
 
 _FORMER_LEARNERS = ("method", "agent.learner", "agent.policy_gradient")
 """Keys by which learners were chosen before they were plugins."""
-_OWN_CONDITIONS = (
-    "conditions of your own are overrides, as in sim.friction=0.6, which a suite file can hold "
-    "(suite=FILE.yaml)"
-)
-_LAUNCHERS = {
-    "joblib": "joblib",
-    "ray": "ray",
-    "ray_aws": "ray",
-    "rq": "rq",
-    "submitit_local": "submitit",
-    "submitit_slurm": "submitit",
-}
-"""Launchers of Hydra that are packages of their own, hydra-NAME-launcher, by their options."""
+_LAUNCHERS = ("joblib", "ray", "rq", "submitit")
+"""Launchers of Hydra that are packages of their own, hydra-NAME-launcher."""
 
 
 @contextmanager
 def convert_hydra_errors() -> Iterator[None]:
-    """Convert errors of Hydra and OmegaConf to the package's own, in one line.
-
-    On values that they do not expect, such as ``hydra.verbose=1``, they raise Python's own, too.
-    """
+    """Convert errors of Hydra and OmegaConf to the package's own, in one line."""
     try:
         yield
     except OverrideParseException as error:
         raise unreadable(str(error.override)) from error
     except MissingConfigException as error:
         raise missing_choice(error) from error
-    except (HydraException, OmegaConfBaseException) as error:
+    except (HydraException, OmegaConfBaseException, YAMLError) as error:
         raise ConfigError(_one_line(error)) from error
-    except (FlipperctlError, OSError):
-        raise
-    except Exception as error:  # any, since Hydra does not convert those of the values
-        if not _is_of_hydra(error):
-            raise
-        text = _one_line(error) or type(error).__name__
-        raise ConfigError(f"Hydra cannot use the words or its settings: {text}") from error
-
-
-def _is_of_hydra(error: Exception) -> bool:
-    """Return whether Hydra or OmegaConf raised the error, or called the library that did."""
-    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
-        package = str(frame.f_globals.get("__name__")).partition(".")[0]
-        if package not in sys.stdlib_module_names:
-            return package in ("hydra", "omegaconf", "antlr4", "yaml")
-    return False
 
 
 def missing_choice(error: MissingConfigException) -> RequestError:
@@ -91,13 +60,10 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     options = [o for o in (error.options or registered_names(group)) if not o.startswith("_")]
     if not group:
         return ConfigError(_one_line(error))
-    if group == "hydra/launcher" and option in _LAUNCHERS:
-        package = f"hydra-{_LAUNCHERS[option]}-launcher"
+    if group == "hydra/launcher" and option.partition("_")[0] in _LAUNCHERS:
+        package = f"hydra-{option.partition('_')[0]}-launcher"
         return MissingExtraError(f"{group}={option} needs {package}: pip install {package}")
-    missing = missing_entry(group, option, options)
-    if group == "robot":
-        return ConfigError(f"{missing}; a file of your own ends in .yaml")
-    return ConfigError(f"{missing}; {_OWN_CONDITIONS}") if group == "conditions" else missing
+    return missing_entry(group, option, options)
 
 
 def wrong_choice(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
@@ -58,33 +57,10 @@ def broken_hint(name: str = "") -> str:
     return f"; it may be in a package that does not load: {'; '.join(reasons)}" if reasons else ""
 
 
-def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
-    """Return a hint about a plugin that is not found: its close match, or how one is loaded.
-
-    Each engine and sensor has an entry point of its own, even in this package, and entry points
-    are read from the installed metadata.
-    """
-    if hint := broken_hint(name):
-        return hint
-
-    # What the user may have meant: a setting's value, a file, or a name that is misspelt
-    known = list(known)
-    key, _, value = name.partition("=")
-    if value in known:
-        return f"; write {value}, without {key}="
-    if name.endswith(".py"):
-        return f"; give the plugin's name, and its file as --plugins {shlex.quote(name)}"
-    if os.path.isfile(f"{name}.py"):  # noqa: PTH113  # false for any text, however long
-        return f"; {name}.py is loaded by --plugins {name}.py"
-    if close := close_match(name, known):
-        return close
-
-    # Otherwise its package does not load, or it is not installed.
-    if hint := broken_hint():
-        return hint
-    if kind in ("sim", "perception"):
-        return "; a new entry point is found after the package is reinstalled (pip install -e .)"
-    return "; a plugin of your own is loaded by --plugins FILE"
+def missing_name(name: str, known: Iterable[str]) -> str:
+    """Return a hint about a plugin that is not found: its close match, or how one is loaded."""
+    hint = broken_hint(name) or close_match(name, known) or broken_hint()
+    return hint or "; a plugin of your own is loaded by --plugins FILE"
 
 
 def missing_plugin(kind: str, name: str, file: str | Path | None) -> str:
@@ -151,7 +127,7 @@ def explain(
     if first["type"] == "unknown_plugin":
         name, known = first["ctx"]["name"], first["ctx"]["known"]
         return (
-            f"{location}: {first['msg']}{missing_name(leaf, str(name), known)}; "
+            f"{location}: {first['msg']}{missing_name(str(name), known)}; "
             f"registered: {', '.join(known)}"
         )
 

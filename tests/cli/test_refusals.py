@@ -23,7 +23,6 @@ eval level terrain=step --film f.gif --speed 0.3 -> multiples of 0.25
 eval level terrain=step --film f.gif --episodes 2 --episode 5 -> 0 to 1 is evaluated
 eval level terrain=step --film f.avi -> a film is a .gif or .mp4 file | '.avi'
 eval okada sim=planar,planar -> another engine is compared with planar
-eval level --passable okda -> --passable | 'okada'
 eval okada conditions=varid -> did you mean 'varied'?
 eval okada conditions=trained -> need --checkpoint; known: nominal
 train conditions=null -> null is not allowed
@@ -32,7 +31,6 @@ train method=sb3 -> method: a learner is chosen by its name, agent=NAME (d3qn, p
 train agent=sb3 agent.algorithm=trpo -> agent.algorithm | 'dqn', 'ppo'
 train agent=sb3 agent.algorithm=sac -> actions: turns does not go with | actions=rates is allowed
 train actions=rates -> actions: rates does not go with agent=d3qn | flipperctl list learners
-train actions=box -> actions | 'turns' or 'rates'
 train agent=sb3 network=dueling_mlp -> dueling_mlp does not go with | network=mlp is allowed
 train agent=sb3 agent.n_step=2 -> agent.n_step: there is no such key
 train agent=sb3 teacher=okada -> teacher: agent=sb3 learns from rewards alone; set teacher=none
@@ -49,16 +47,10 @@ eval okada --baseline 'level, level' -> is given twice; once is allowed
 eval okada terrain=step terrain.height=[0.3,0.1] -> terrain.height | low ≤ high | [0.3, 0.1]
 eval okada terrain=step terrain.height=0.3 episode.run_up=0.2 -> overlaps the robot at the start
 inspect plugins flat --output x -> --output needs --check
-eval --controler okada -> --controler | --controller
 train --experimental-rerun x.pickle -> --experimental-rerun
-train stair -> 'stair' | key=value
-train terrain = stair -> terrain =: write key=value without spaces
+train terrain = stair -> 'terrain' is no override; write key=value without spaces
 train terrain=corduroy -> 'corduroy'; a plugin of your own | --plugins FILE
-inspect terrain terrain=stair -> write stair, without terrain=
-inspect plugins mine.py -> its file as --plugins mine.py
 export onnx runs/mine -> runs/mine
-card --checkpoint runs/mine -> write runs/mine alone
-train --checkpoint runs/mine -> agent.start_from=runs/mine begins with
 eval --controller level train.decisions=5 \
     -> train.decisions: it belongs to a training, and has no meaning here
 train +train.validation_episodes=3 -> exists already; write train.validation_episodes=3
@@ -66,37 +58,28 @@ train collector.max_lag=3 -> collector=local has no settings here
 inspect run nope -> nope holds no metrics.csv; there is no such folder
 new -> 'KIND' | see flipperctl new --help
 export -> Choose from: onnx, mjcf | see flipperctl export --help
-train 'terrain=step seed=3' -> several overrides | out: terrain=step seed=3
+train 'terrain=step seed=3' -> 'terrain=step seed=3': Hydra cannot read this override
 train seed=1,2 -> seed=1,2: several values | add -m
 train gamma=0.9 -> gamma: there is no such key (did you mean | agent.gamma?)
 eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher
 eval runs/x -> runs/x | no such run | generalist
 train hydra.run.dir= -> hydra.run.dir | the value is ''
-train hydra.run.dir=sp ace/x -> 'hydra.run.dir="sp ace/x"'
-inspect config =3 -> '=3' has no key
-inspect config terrain=3 -> terrain: a name | 3
-train terain=stair -> terain | 'terrain'
+train hydra.run.dir=sp ace/x -> quotes around a value with spaces
+inspect config =3 -> '=3' is no override
 train terrain=stiar -> terrain | 'stiar' | 'stair'
-train experiment=nope -> experiment | nope
 train +reward@rewards.x=pich -> reward | 'pitch'
-train agent.gama=0.9 -> agent.gama | 'gamma'
 train rewards=paper rewards.pitch.lamda_2=3 -> rewards.pitch.lamda_2 | 'lambda_2'
-train rewards=paper '~rewards.pich' -> rewards.pich | 'pitch'
 train rewards=tunde -> rewards | 'tunde' | 'tuned' | paper, smooth, tuned
 train +reward@rewards.way=shaped_progress agent.gamma=0.95 \
     -> rewards.way.gamma: 0.99 | agent.gamma (0.95) | set rewards.way.gamma=0.95
-train reward=impact -> reward: there is no such key (did you mean 'rewards'?)
 train +reward@rewards.hit=impact rewards.hit.wieght=2 \
     -> rewards.hit.wieght | 'weight' | known in rewards.hit=impact:
-train rewards=paper +reward@rewards.pitch=impact \
-    -> rewards.pitch exists already | write reward@rewards.pitch=impact
 train rewards=paper '~rewards.pitch' reward@rewards.pitch=impact \
     -> ~rewards.pitch | write reward@rewards.pitch=im
 train +terrain=step -> terrain exists already | write terrain=step
 train terrain=step terrain.hihgt=0.2 -> terrain.hihgt | 'height'
 train agent.gamma=1.5 -> gamma | < 1 | 1.5
-train terrain.steps=2.5 -> terrain.steps | integer | 2.5
 train rewards=paper rewards.pitch.lambda_2=inf -> rewards.pitch.lambda_2 | finite
 train 'rewards={}' -> rewards={} | ~rewards drops every term
 train '~rewards' -> rewards: | a training needs a term | none
@@ -108,45 +91,33 @@ train agent.replay_size=10000000 train.decisions=1000000000 perception.bins=101 
 train agent.batch_size=65536 'network.terrain=[50000,100]' -> agent.batch_size | 65,536 | GB
 eval --controller planner controller.widht=5 -> controller.widht | 'width' | budget
 train sim.substep=0.003 -> sim | substep must divide 0.01
-train -m seed=1,2 agent.gamma=0.9,7 -> gamma | 7
 train -m seed=1,2 terrain=flat hydra/launcher=joblip -> 'joblip' | 'joblib'
 train --resume nowhere -> nowhere | no such run
 train --plugins nowhere.py -> nowhere.py | does not exist
 replay nowhere.json -> nowhere.json: it cannot be read | No such file
 eval -> name a policy, as in: flipperctl eval generalist terrain=stair
-eval --controller okado -> okado: there is no | 'okada'
-eval --controller okada --baseline levl -> 'levl' | 'level'
 eval --controller okada randomise.sim.friction=true -> friction | rue
 eval --controller okada --baseline generalist -> --baseline | add --checkpoint generalist
 eval --controller okada --baseline none,okada -> --baseline: none stands alone | none,okada
 eval okada eval.seed=99999999999999999999 -> eval.seed | ≤ 9.22337e+18
 eval --controller okada --episodes 0 -> eval.episodes | ≥ 1
-eval --controller okada conditions=wet.yaml \
-    -> 'wet' | conditions of your own are overrides | suite=FILE.yaml
+eval --controller okada conditions=wet.yaml -> 'wet' | known: nominal
 eval --checkpoint nowhere -> nowhere: there is no | controller | generalist
 export onxx x -> onxx | onnx
 list terain -> there is no kind 'terain' | 'terrains' | known: terrains, rewards
 list stair -> flipperctl explain stair
 list runs -> runs: there is no such folder
 explain agent.gama -> 'agent.gama' (did you mean 'agent.gamma'?
-inspect terrain stiar -> 'stiar' | 'stair'
 inspect terrain stair --output x.bmp -> x.bmp | .png
 inspect terrain stair --output no/x.png -> no/x.png | no folder
 eval --controller okada, terrain=flat -> names between commas are allowed
-eval okada,level --baseline ,x terrain=flat -> --baseline: names between commas
 eval okada,level --record e.safetensors terrain=flat -> --record takes one policy
 eval level --record e.safetensors eval.ray=auto terrain=flat \
     -> eval.ray: no meaning beside --record
-eval okada level --film e.gif terrain=flat,step -> --film shows one scene
 eval okada terrain=stair --by step -> --by: no scene draws 'step' (did you mean 'steps'?
-eval okada --columns max_pich -> no column 'max_pich' (did you mean 'max_pitch'
-eval okada suite=familes -> did you mean 'families'?
 eval okada suite=gone.yaml -> gone.yaml cannot be read
-eval okada suite=paper suite=families -> suite is given twice
-eval suite=families -> name a policy, as in: flipperctl eval generalist
 map okada terrain=uplift -> name two settings, as in --over terrain.height=
 map okada terrain=uplift --over terrain.hight,sim.friction -> did you mean 'terrain.height'
-map okada terrain=uplift --over terrain.height=0.1:2,sim.friction -> terrain.height | ≤ 0.8
 map okada terrain=uplift --over perception.occlusion,sim.friction -> it is no number
 map okada terrain=uplift --over terrain.height=1:0,sim.friction -> from a lower to a higher number
 map okada terrain=uplift randomise.sim.friction=[0.8,1.2] --over terrain.height,sim.friction \
@@ -157,7 +128,6 @@ map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 
     -> map takes one scene; the settings give 2
 tune -> tune takes one controller, as in: flipperctl tune okada
 tune level terrain=stair -> level: this controller has no number between two bounds to tune
-tune okada budget=0 -> budget: one number of episodes from 1 on | is allowed | is 0
 tune okada budget=100 terrain=stair -> budget: at least 187 episodes are needed | is 100
 tune okada --settings near,faar -> --settings: okada has no number 'faar' | did you mean 'far'
 tune okada --for reward '~rewards' -> --for reward: there is no reward term
@@ -165,7 +135,6 @@ tune hfc terrain=stair -> hfc learns from demonstrations; add from=POLICY or a f
 tune okada from=level -> from=level: okada takes no demonstrations here; leave it out
 tune zimmermann budget=5 terrain=step -> budget: at least 11 episodes are needed | is 5
 inspect reward --regret -> --regret: name a policy
-inspect reward level okda --regret -> did you mean 'okada'
 inspect reward level generalist --regret perception.bins=9 -> bins=15
 inspect reward level okada level -> level is given twice
 inspect reward level okada controller=level -> the policies are named by words
@@ -180,33 +149,20 @@ new terrain stair -> 'stair' | already | stairs.py:
 new terrain mine --output file -> file | cannot be written
 bench --small speed -> 'speed' | evaluation | key=value
 bench --small decisions -> 'decisions' | did you mean 'decision'
-bench --small terrain=stiar -> terrain | 'stiar' | 'stair'
 bench --small seed=1,2 -> one configuration | 2
 train -m seed=1,2 --cfg job -> --cfg: it shows one configuration; leave --multirun out
 train seed=1,2 --cfg job -> give one value of seed
-train --info all --cfg job -> --info: no meaning beside --cfg
 train --cfg nonsense -> invalid choice: 'nonsense'
 train -m hydra.mode=RUN seed=1,2 -> hydra.mode=RUN: no meaning beside --multirun
 train -m 'seed=glob(*)' -> seed=glob(*): no name fits
 train --output a hydra.run.dir=b -> hydra.run.dir=b: no meaning beside --output
 train --output a --resume b -> --output: no meaning beside --resume
 train --cfg job -p nope -> --cfg: package 'nope' not found in config
-train hydra.verbose=inf -> Hydra cannot use the words or its settings
-train -m seed=2,true -> seed: a number is allowed, not true or false
 train agent.learning_rate=true -> agent.learning_rate: a number is allowed
-train --terrain stair -> --terrain; settings are written as terrain=stair
-train --learning-rate=1e-3 -> ; settings are written as agent.learning_rate=1e-3
+train --terrain stair -> --terrain; policies are words, and settings key=value
 train --out here -> (did you mean '--output'?
-inspect reward --seed 3 -> ; settings are written as eval.seed=3
-eval okada --friction 0.6 -> ; settings are written as sim.friction=0.6
 eval okada --episodess 5 -> --episodess (did you mean '--episodes'?
-inspect run x --seed 3 -> no such option: --seed
---terrain stair -> --terrain; settings are written as terrain=stair
---terrain=stair train -> --terrain; settings are written as terrain=stair
---seed train -> --seed; settings are written as seed=…
---seed=4 eval -> --seed; settings are written as eval.seed=4
-inspect --terrain stair -> --terrain; settings are written as terrain=stair
---versoin -> --versoin (did you mean '--version'?
+--terrain=stair train -> --terrain; policies are words
 eval okada --seed 3 eval.seed=4 \
     -> eval.seed is given twice: --seed 3 and eval.seed=4; one is allowed
 map okada --over=seed,seed --episodes 3 ++eval.episodes=4 \
@@ -217,15 +173,9 @@ train agent.gamma=0.9 +agent.gamma=0.8 \
     -> agent.gamma is given twice: agent.gamma=0.9 and +agent.gamma=0.8; one is allowed
 watch --no-open -> name a policy
 watch generalist --port 70000 --no-open -> --port
-watch okad --no-open -> did you mean 'okada'
 drive --as ../x --no-open -> --as '../x'
-drive --with generalis --no-open -> did you mean 'generalist'
 drive --study none.yaml --no-open -> --study none.yaml: it cannot be read
-drive terrain=stare --no-open -> stair
-drive --port 99999 --no-open -> --port
 drive --output file --no-open -> it is a file
-inspect reward okada level seed=1 seed=1 \
-    -> seed is given twice: seed=1 and seed=1; one is allowed
 """
 
 

@@ -43,7 +43,6 @@ def logged(overrides: dict[str, Any]) -> TrainConfig:
             lambda: resolver.create("terrain", {"name": "mix", "parts": ["stiar"]}, "terrain"),
             r"^terrain\.parts\.0: there is no terrain plugin 'stiar' .did you mean 'stair'\?.*step",
         ),
-        (lambda: resolver.create("sim", "mine", "sim"), r"reinstalled \(pip install -e \.\)"),
         (lambda: resolver.create("terrain", "mine", "terrain"), "loaded by --plugins FILE"),
         (lambda: resolver.create("terrain", {"rise": 0.1}, "terrain"), "a mapping with 'name'"),
         (
