@@ -157,15 +157,18 @@ def checkpoint(
     source = load_policy(path, takes="file")
     file = source.file
     if check:
-        from flipperctl.config.words import with_engine
-        from flipperctl.requests.compose import compose_environment, register_robot
+        from flipperctl.config.words import with_default, with_engine
+        from flipperctl.requests.compose import compose_environment, register_trained
         from flipperctl.requests.text import from_words
         from flipperctl.testing.conventions import probe, require_conventions, table
         from flipperctl.text.show import console, print_table
 
-        trained, words = source.config(), from_words(with_engine(list(overrides or [])))
-        primary = register_robot(trained.robot, trained.perception.layout)
-        probes = probe(compose_environment(words, primary), source)
+        # The robot and the observation are the file's; its ground and rewards are not needed.
+        words = with_engine(list(overrides or []))
+        for group, name in (("terrain", "flat"), ("rewards", "paper")):
+            words = with_default(words, group, name)
+        primary = register_trained(source.config())
+        probes = probe(compose_environment(from_words(words), primary), source)
         holds = all(measured.holds for measured in probes)
         document = {"holds": holds, "probes": [{**asdict(p), "holds": p.holds} for p in probes]}
         show(document, lambda: print_table(table(probes), console()), as_json=as_json)

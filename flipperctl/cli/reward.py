@@ -14,6 +14,7 @@ from flipperctl.errors import ConfigError, InterruptedRunError, RequestError
 from flipperctl.terminal.streams import print_note, show
 
 if TYPE_CHECKING:
+    from flipperctl.evaluation.plan import NamedPolicy
     from flipperctl.evaluation.rewards import Rewards, RewardScene
     from flipperctl.requests.request import Requests
 
@@ -103,28 +104,29 @@ def reward(
 def _compare(names: Sequence[str], words: Sequence[str], *, as_json: bool) -> None:
     """Rank policies on each combination of the lists of settings other than rewards.
 
-    Lists of rewards, as in ``rewards=paper,tuned``, give the sets of each scene. The robot is that
-    of the files among the policies.
+    Lists of rewards, as in ``rewards=paper,tuned``, give the sets of each scene. A trained policy
+    brings its robot and its rewards, the first one of several.
     """
     from flipperctl.cli.plan import player
-    from flipperctl.evaluation.plan import common_robot, policies
+    from flipperctl.evaluation.plan import entrants, policies
     from flipperctl.evaluation.rewards import rank_policies
-    from flipperctl.requests.compose import compose_eval, register_robot
+    from flipperctl.requests.plan import scenes as composed
     from flipperctl.requests.text import from_words
     from flipperctl.text.show import console, print_lines, print_table
     from flipperctl.views import rewards
 
     fields, requests = controller_fields(from_words(words))
     sources = policies(names, fields, print_note)
-    primary = register_robot(common_robot(sources, requests.typed))
+    players = entrants(names, print_note)
+    host = next((policy for policy in players if policy.run), players[0])
     scenes: dict[tuple[str, ...], RewardScene] = {}
     for combination in requests.combinations():
         scene, label = _split(combination)
-        ((config, _),) = compose_eval(combination, primary)
+        ((config, _),) = composed(combination, host.run, host.controller, lambda text: None)
         if not config.rewards:
             raise ConfigError(f"rewards: {label!r} leaves no term to rank policies by")
         sets: dict[str, Rewards] = {**scenes[scene][1]} if scene in scenes else {}
-        scenes[scene] = config, sets | {label or _DEFAULT: config.rewards}
+        scenes[scene] = config, sets | {label or _default(host): config.rewards}
     with player(None, "reward") as (plays, _):
         ranking = rank_policies(list(scenes.values()), sources, plays)
 
@@ -162,9 +164,8 @@ def _regret(
         fields, requests = controller_fields(requests)
     others = policies(names[1:] or _REFERENCES, fields, print_note)
     labels = [_split(combination)[1] for combination in requests.combinations()]
-    default = "own" if policy.run else _DEFAULT
     chosen = [
-        RegretScene(config, label or default, names[0], source, others)
+        RegretScene(config, label or _default(policy), names[0], source, others)
         for (config, source), label in zip(
             scenes(requests, policy.run, policy.controller), labels, strict=True
         )
@@ -181,6 +182,11 @@ def _regret(
             print_lines(out, [text], "bold red" if alarm else "")
 
     show({"scenes": regrets}, printed, as_json=as_json)
+
+
+def _default(policy: NamedPolicy) -> str:
+    """Return the label of the rewards of an evaluation of a policy, unless others are chosen."""
+    return "own" if policy.run else _DEFAULT
 
 
 def _split(combination: Requests) -> tuple[tuple[str, ...], str]:

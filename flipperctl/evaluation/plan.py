@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl.api import Robot, registry
+from flipperctl.api import registry
 from flipperctl.checkpoint.results import unfinished
-from flipperctl.config import EvalConfig, strict_yaml, to_dict
-from flipperctl.config.identity import differences
+from flipperctl.config import EvalConfig, strict_yaml
 from flipperctl.config.policy_file import drives_in, is_policy_file
 from flipperctl.config.presets import SUFFIX, presets, shipped
 from flipperctl.config.words import check_different, check_words
@@ -270,23 +269,6 @@ def policies(
                 f"{close_match(field, sorted(known))}; known: {', '.join(sorted(known)) or 'none'}"
             )
     return sources
-
-
-def common_robot(sources: Mapping[str, PolicySource], keys: Collection[str]) -> Robot:
-    """Return the robot of the files among the policies; the default one if there are none."""
-    robots = {name: robot for name, s in sources.items() if (robot := s.robot()) is not None}
-    if not robots:
-        return Robot()
-    (first, first_robot), *others = robots.items()
-    for other, other_robot in others:
-        for key, *values in differences(to_dict(first_robot), to_dict(other_robot), "robot"):
-            if not {"robot", key} & set(keys):
-                first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
-                raise ConfigError(
-                    f"{first} is for {key}={first_value}, {other} for {value}; give "
-                    f"{key}=… to choose the robot"
-                )
-    return first_robot
 
 
 @dataclass(frozen=True)

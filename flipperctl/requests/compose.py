@@ -22,7 +22,7 @@ from hydra.errors import ConfigCompositionException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.api import Learner, ObservationLayout, Plugin, Robot, registry
+from flipperctl.api import Learner, Plugin, registry
 from flipperctl.config import (
     DEFAULT_ENGINE,
     EnvConfig,
@@ -30,7 +30,6 @@ from flipperctl.config import (
     TrainConfig,
     parse,
     presets,
-    to_dict,
 )
 from flipperctl.config.defaults import (
     CHOICES,
@@ -57,8 +56,6 @@ EVAL_CONTROLLER = "eval"
 """Primary configuration of an evaluation of a controller."""
 _CHECKPOINT, _EXPORT = "flipperctl_eval_trained", "flipperctl_eval_exported"
 """Primary configurations of an evaluation of a checkpoint, and of an exported file."""
-_ROBOT = "flipperctl_eval_robot"
-"""Primary configuration of a controller's evaluation with a robot that a file describes."""
 _TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
 _of_choices: dict[tuple[str, tuple[str, ...]], DictConfig] = {}
@@ -135,22 +132,6 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
     nominal = _with_paths(inherited.nominal)
     store.store(name=primary, node={"defaults": defaults, **nominal, **inherited.kept})
     return primary
-
-
-def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str:
-    """Register the evaluation of another robot as a primary configuration; return its name.
-
-    ``layout`` is its observation layout, if that differs as well. Overrides change both.
-    """
-    # The robot stands in place of the default one, so that overrides still apply.
-    override = {"override /robot": _TRAINED}
-    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_", override]}
-    if layout is not None:
-        node["perception"] = to_dict(layout)
-    store = ConfigStore.instance()
-    store.store(group="robot", name=_TRAINED, node=to_dict(robot))
-    store.store(name=_ROBOT, node=node)
-    return _ROBOT
 
 
 def compose_train(requests: Requests = Requests()) -> list[TrainConfig]:  # noqa: B008  # frozen

@@ -13,7 +13,6 @@ from flipperctl.config.presets import presets
 from flipperctl.config.resolver import named_robot
 from flipperctl.errors import ConfigError
 from flipperctl.export.policy import robot_fields
-from flipperctl.requests.compose import compose_environment, register_robot
 from flipperctl.requests.plan import scenes
 from flipperctl.requests.text import from_words
 from tests.cli.call import call, refused
@@ -87,14 +86,6 @@ def test_a_policy_is_evaluated_and_exported_for_another_robot(tmp_path):
         assert Robot(**robot_fields({"robot": name})) == named_robot(name)
     fields = robot_fields({"robot": "absolem", "robot.track_speed": 0.1})
     assert Robot(**fields) == named_robot("absolem").model_copy(update={"track_speed": 0.1})
-
-
-def test_a_name_wins_over_the_robot_of_compared_files():
-    primary = register_robot(Robot(chassis_length=0.8))
-    assert compose_environment(from_words([]), primary).robot.chassis_length == 0.8
-    words = from_words(["robot=absolem", "robot.track_speed=0.3"])
-    changed = named_robot("absolem").model_copy(update={"track_speed": 0.3})
-    assert compose_environment(words, primary).robot == changed
 
 
 def test_conditions_for_nubot_are_remarked_on():
