@@ -11,10 +11,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks.settings import FAMILIES, Benchmark, planar, ratio
+from benchmarks.settings import FAMILIES, Benchmark, planar, quantity, ratio
 from flipperctl import checkpoint
 from flipperctl.api import SAMPLE_PERIOD
-from flipperctl.commands.speed import quantity
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError

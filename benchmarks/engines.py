@@ -12,10 +12,10 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from benchmarks.settings import Benchmark, ratio
+from benchmarks.settings import Benchmark, quantity, ratio
 from flipperctl.api import Simulator
 from flipperctl.api.plugin import registered_names
-from flipperctl.commands.speed import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError

@@ -12,9 +12,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.settings import Benchmark, milliseconds
+from benchmarks.settings import Benchmark, milliseconds, quantity
 from flipperctl import checkpoint
-from flipperctl.commands.speed import clocked, measure_in_turn, output, quantity
+from flipperctl.commands.speed import clocked, measure_in_turn, output
 from flipperctl.config import with_overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import MissingExtraError

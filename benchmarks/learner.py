@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.settings import Benchmark, ratio
+from benchmarks.settings import Benchmark, quantity, ratio
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
-from flipperctl.commands.speed import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import SIZE

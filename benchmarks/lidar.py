@@ -13,8 +13,8 @@ from functools import partial
 from typing import Any
 
 from benchmarks.engines import Clock
-from benchmarks.settings import Benchmark, ratio
-from flipperctl.commands.speed import measure_in_turn, quantity
+from benchmarks.settings import Benchmark, quantity, ratio
+from flipperctl.commands.speed import measure_in_turn
 from flipperctl.config import with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.rollout.episode import EvaluationSeeds

@@ -21,10 +21,9 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from benchmarks.settings import FAMILIES, Benchmark, ratio
+from benchmarks.settings import FAMILIES, Benchmark, Values, quantile, quantity, ratio
 from flipperctl.agent.networks import build_network
 from flipperctl.api import ACTIONS, Perception, Simulator
-from flipperctl.commands.speed import Values, quantile, quantity
 from flipperctl.config import EnvConfig, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead import Mpc, ValueIteration

@@ -19,9 +19,8 @@ from typing import Any
 import numpy as np
 from pymunk import GearJoint
 
-from benchmarks.settings import Benchmark, planar, ratio
+from benchmarks.settings import Benchmark, planar, quantity, ratio
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
-from flipperctl.commands.speed import quantity
 from flipperctl.config import EnvConfig
 from flipperctl.config.reward_sum import RewardSum
 from flipperctl.env.flipper_env import FlipperEnv

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from benchmarks.settings import Benchmark, ratio
+from benchmarks.settings import Benchmark, quantity, ratio
 from flipperctl.agent.risk import weights_of
-from flipperctl.commands.speed import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn
 from flipperctl.config import RayCollector, TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError

@@ -15,7 +15,7 @@ from pydantic import Field
 from flipperctl.api import Engine, Settings
 from flipperctl.checkpoint.results import json_result
 from flipperctl.commands.bench import split_arguments
-from flipperctl.commands.speed import Values, finite, load, machine, quantile, table
+from flipperctl.commands.speed import load, machine, number
 from flipperctl.config import TrainConfig, parse, resolver, with_overrides
 from flipperctl.config.words import with_flags
 from flipperctl.errors import ConfigError
@@ -24,8 +24,10 @@ from flipperctl.requests.text import from_words
 from flipperctl.sim.planar import Planar
 from flipperctl.terminal.progress import steps_progress
 from flipperctl.terminal.streams import print_note, show
-from flipperctl.text.show import console, print_table
+from flipperctl.text.show import NONE, Column, Table, console, print_table
 
+Values = Sequence[float | None]
+"""One number for each round; None for a run that did not finish, which is larger than any."""
 SECTION = "bench."
 """Prefix of the keys of the sizes among overrides of the training."""
 MEASURES = (
@@ -184,6 +186,55 @@ def run_measures(
                 print_note(f"{name}: {text}")
             write(document)  # after each measure, since the next may take an hour
     return document
+
+
+def table(name: str, measured: Mapping[str, Any]) -> Table:
+    """Return the table of a measure: medians with quartiles, then ratios if it has any.
+
+    The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
+    """
+
+    def text(value: float | None, missing: str = NONE) -> str:
+        return missing if value is None else number(value)
+
+    def row(what: str, numbers: Mapping[str, Any], median: str, unit: str) -> dict[str, Any]:
+        known = numbers["low"] is not None or numbers["high"] is not None
+        spread = f"{text(numbers['low'])} … {text(numbers['high'])}" if known else NONE
+        return {"what": what, "median": median, "range": spread, "unit": unit}
+
+    # Medians with their quartiles, then ratios below a line
+    rows = [
+        row(what, q, text(q["median"], measured.get("unfinished", NONE)), q["unit"])
+        for what, q in measured["quantities"].items()
+    ]
+    for at, (what, item) in enumerate(measured.get("ratios", {}).items()):
+        rows.append(row(what, item, text(item["ratio"]), "×") | {"line": at == 0})
+    columns = (
+        Column("what", "quantity", named=True),
+        Column("median", "median"),
+        Column("range", "quartiles"),
+        Column("unit", "unit"),
+    )
+    return Table(columns, rows, f"{name}: {measured['about']}")
+
+
+def quantity(values: Values, unit: str) -> dict[str, Any]:
+    """Return median and quartiles; a value that falls on a run without a number is None."""
+    low, median, high = (finite(quantile(values, q)) for q in (0.25, 0.5, 0.75))
+    return {"unit": unit, "median": median, "low": low, "high": high, "values": list(values)}
+
+
+def quantile(values: Values, q: float) -> float:
+    """Return the quantile, interpolated linearly, with None counted as infinite."""
+    ordered = sorted(math.inf if v is None else float(v) for v in values)
+    lower, fraction = divmod(q * (len(ordered) - 1), 1)
+    first = ordered[int(lower)]
+    return first + fraction * (ordered[int(lower) + 1] - first) if fraction else first
+
+
+def finite(value: float) -> float | None:
+    """Return None for infinity."""
+    return value if math.isfinite(value) else None
 
 
 def ratio(numerator: Values, denominator: Values) -> dict[str, Any]:

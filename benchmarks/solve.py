@@ -16,9 +16,8 @@ from typing import Any
 
 import torch
 
-from benchmarks.settings import MISSING, Benchmark, BenchmarkSettings, ratio
+from benchmarks.settings import MISSING, Benchmark, BenchmarkSettings, quantity, ratio
 from flipperctl import checkpoint
-from flipperctl.commands.speed import quantity
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.training.trainer import Trainer
 

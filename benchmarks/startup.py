@@ -9,9 +9,9 @@ from typing import Any
 
 import typer.main
 
-from benchmarks.settings import Benchmark, milliseconds, ratio
+from benchmarks.settings import Benchmark, milliseconds, quantity, ratio
 from flipperctl.cli.main import app
-from flipperctl.commands.speed import measure_in_turn, output, quantity
+from flipperctl.commands.speed import measure_in_turn, output
 
 ABOUT = "wall-clock of commands in separate processes, in turn, compared with Python's own start"
 PYTHON = "python -c pass"

@@ -9,7 +9,6 @@ everything heavy is imported inside functions.
 from __future__ import annotations
 
 import json
-import math
 import os
 import platform
 import sys
@@ -34,8 +33,6 @@ HEAVY = ("torch", "pymunk", "hydra", "gymnasium", "matplotlib")
 _WARM_UP = 100  # calls
 _POLICY = "okada"
 """Controller whose episodes are timed."""
-Values = Sequence[float | None]
-"""One number for each round; None for a run that did not finish, which is larger than any."""
 Report = Callable[[str, float], None]
 """Called with the current step and the finished fraction of a measure."""
 
@@ -283,23 +280,12 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def quantity(values: Values, unit: str) -> dict[str, Any]:
-    """Return median and quartiles; a value that falls on a run without a number is None."""
-    low, median, high = (finite(quantile(values, q)) for q in (0.25, 0.5, 0.75))
+def quantity(values: Sequence[float], unit: str) -> dict[str, Any]:
+    """Return the values of all rounds with their median and quartiles."""
+    import numpy as np
+
+    low, median, high = map(float, np.quantile(values, (0.25, 0.5, 0.75)))
     return {"unit": unit, "median": median, "low": low, "high": high, "values": list(values)}
-
-
-def quantile(values: Values, q: float) -> float:
-    """Return the quantile, interpolated linearly, with None counted as infinite."""
-    ordered = sorted(math.inf if v is None else float(v) for v in values)
-    lower, fraction = divmod(q * (len(ordered) - 1), 1)
-    first = ordered[int(lower)]
-    return first + fraction * (ordered[int(lower) + 1] - first) if fraction else first
-
-
-def finite(value: float) -> float | None:
-    """Return None for infinity."""
-    return value if math.isfinite(value) else None
 
 
 def measure_in_turn(
@@ -321,27 +307,18 @@ def measure_in_turn(
 
 
 def table(name: str, measured: Mapping[str, Any]) -> Table:
-    """Return the table of a measure: medians with quartiles, then ratios if it has any.
+    """Return the table of a measure: medians with quartiles."""
+    from flipperctl.text.show import Column, Table
 
-    The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
-    """
-    from flipperctl.text.show import NONE, Column, Table
-
-    def text(value: float | None, missing: str = NONE) -> str:
-        return missing if value is None else number(value)
-
-    def row(what: str, numbers: Mapping[str, Any], median: str, unit: str) -> dict[str, Any]:
-        known = numbers["low"] is not None or numbers["high"] is not None
-        spread = f"{text(numbers['low'])} … {text(numbers['high'])}" if known else NONE
-        return {"what": what, "median": median, "range": spread, "unit": unit}
-
-    # Medians with their quartiles, then ratios below a line
     rows = [
-        row(what, q, text(q["median"], measured.get("unfinished", NONE)), q["unit"])
-        for what, q in measured["quantities"].items()
+        {
+            "what": what,
+            "median": number(numbers["median"]),
+            "range": f"{number(numbers['low'])} … {number(numbers['high'])}",
+            "unit": numbers["unit"],
+        }
+        for what, numbers in measured["quantities"].items()
     ]
-    for at, (what, ratio) in enumerate(measured.get("ratios", {}).items()):
-        rows.append(row(what, ratio, text(ratio["ratio"]), "×") | {"line": at == 0})
     columns = (
         Column("what", "quantity", named=True),
         Column("median", "median"),

@@ -26,12 +26,20 @@ from benchmarks import (
     statics,
     tables,
 )
-from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, sizes
+from benchmarks.settings import (
+    MEASURES,
+    Benchmark,
+    BenchmarkSettings,
+    quantity,
+    ratio,
+    sizes,
+    table,
+)
 from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
 from flipperctl.checkpoint import read
 from flipperctl.cli.main import run_app
-from flipperctl.commands.speed import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
@@ -260,3 +268,9 @@ def test_a_new_risk_comes_into_a_policy_and_changes_nothing_else(tmp_path: Path)
     assert kept.keys() == policy.keys()
     assert all(torch.equal(kept[name], policy[name]) for name in kept)
     assert new.document.config == shipped.document.config
+
+
+def test_an_unsolved_run_is_told_as_such() -> None:
+    unsolved = {"unit": "s", "median": None, "low": None, "high": None, "values": [None]}
+    found = {"about": "a", "quantities": {"sb3": unsolved}, "unfinished": "not within 600 s"}
+    assert table("solve", found).texts() == [["sb3", "not within 600 s", "–", "s"]]

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.commands import speed as bench
 from flipperctl.commands.bench import split_arguments
 from flipperctl.env.metrics import RESERVED, measures
 from flipperctl.text.files import read_csv
@@ -169,9 +168,3 @@ def test_measures_and_overrides_come_in_any_order() -> None:
     assert split_arguments(given, known) == (["a", "c"], ["seed=2", "~rewards.pitch"])
     for every in ([], ["all", "c"]):
         assert split_arguments(every, known) == (["a", "b", "c"], [])
-
-
-def test_an_unsolved_run_is_told_as_such() -> None:
-    unsolved = {"unit": "s", "median": None, "low": None, "high": None, "values": [None]}
-    found = {"about": "a", "quantities": {"sb3": unsolved}, "unfinished": "not within 600 s"}
-    assert bench.table("solve", found).texts() == [["sb3", "not within 600 s", "–", "s"]]
