@@ -22,6 +22,10 @@ class FlipperctlError(Exception):
     result: Any = None
     """Of ``flipperctl.evaluate``: the ``Evaluation`` with what was played; None if nothing was."""
 
+    def __str__(self) -> str:
+        """Return the text, and the notes that were added to it, such as the episode's seed."""
+        return "; ".join([super().__str__(), *getattr(self, "__notes__", ())])
+
 
 class RequestError(FlipperctlError):
     """The request cannot be carried out as given."""

@@ -48,7 +48,7 @@ from flipperctl.env.pictures import (
 )
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.start import run_out_of
-from flipperctl.errors import ConfigError, PluginFailedError, TerrainError
+from flipperctl.errors import ConfigError
 from flipperctl.plugging import plugins
 from flipperctl.plugging.checked import require
 from flipperctl.plugging.randomness import global_states
@@ -194,10 +194,6 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
                 self.profile = start.ahead(self.profile)  # beside the line there is no place for it
                 starts = self._place(start_rng)
             start.check_placed(self.drive.world, self._start, config, self.profile)
-        except (TerrainError, PluginFailedError) as error:
-            if seed is not None:
-                error.args = (f"{error}; the episode's seed is {seed}",)
-            raise
         except Exception as error:
             if seed is not None:
                 error.add_note(f"the episode's seed is {seed}")

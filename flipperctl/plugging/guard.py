@@ -124,7 +124,9 @@ def _named(
     raised: type[FlipperctlError] = PluginFailedError,
 ) -> FlipperctlError:
     """Return the exception that says what was raised where; a missing package has its own."""
-    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+    notes = ""
+    if not isinstance(error, FlipperctlError):  # whose text has its notes
+        notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     if missing := missing_package(error):
         return MissingExtraError(f"{label}{missing} ({where}){notes}")
     return raised(f"{label}{method} raised {error_line(error)} ({where}){notes}")
