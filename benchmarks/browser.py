@@ -8,9 +8,13 @@ from contextlib import contextmanager
 from typing import Any
 
 ARGUMENTS = (
-    *("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-    *("--disable-background-networking", "--disable-component-update", "--no-first-run"),
+    "--no-sandbox",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--no-first-run",
 )
+DRAWING = "--use-angle=swiftshader", "--enable-unsafe-swiftshader"
+"""Arguments of a browser that draws 3-D scenes; others compute half as much."""
 
 
 def installed() -> str | None:
@@ -20,15 +24,19 @@ def installed() -> str | None:
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """Run the browser, a ``playwright`` one; an error says what to install."""
+def chromium(*, draws: bool = True) -> Iterator[Any]:
+    """Run the browser, a ``playwright`` one; an error says what to install.
+
+    ``draws``: whether it draws 3-D scenes.
+    """
     from playwright.sync_api import sync_playwright
 
     program = installed()
     if program is None:
         raise SystemExit("no Chromium on this machine; on Debian: apt install chromium")
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=program, args=list(ARGUMENTS))
+        arguments = [*ARGUMENTS, *(DRAWING if draws else ("--disable-gpu",))]
+        browser = play.chromium.launch(executable_path=program, args=arguments)
         try:
             yield browser
         finally:

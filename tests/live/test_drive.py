@@ -31,6 +31,7 @@ pytestmark = pytest.mark.slow
 def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no busy machine be taken for a lost browser; tests/live/test_hands.py has the limit."""
     monkeypatch.setattr("flipperctl.live.hands.LOST", 10.0)
+    monkeypatch.setattr("flipperctl.live.drive._WAITS", 0.5)
 
 
 class Session:
@@ -40,7 +41,7 @@ class Session:
         load(())
         low = {"name": "step", "height": 0.1, "platform": 0.6}
         short = {"run_up": 0.8, "run_out": 0.3, "start_noise": 0}
-        robot = {"track_speed": 0.3}  # it drives in real time
+        robot = {"track_speed": 0.5}  # it drives in real time
         self.config = EvalConfig(terrain=low, episode=short, robot=robot, **settings)
         self.folder = DriveFolder(folder / "anna", "script: test")
         self.page = DrivePage(0, "anna")
@@ -112,20 +113,20 @@ class Client:
 
 
 @contextmanager
-def page_of(session: Session, problems: list[str]) -> Iterator[Any]:
+def page_of(session: Session, chromium: Any, problems: list[str]) -> Iterator[Any]:
     """Open the page in a browser, without the 3-D scene, whose drawing takes a core."""
     http = session.address.split("/?")[0]
     own = http, http.replace("http", "ws"), "data:", "blob:"
-    with browser.chromium() as opened:
-        tab = opened.new_page(viewport={"width": 1280, "height": 800})
-        tab.set_default_timeout(120_000)
-        tab.route("**/scene*", lambda route: route.fulfill(body="<p>scene</p>"))
-        tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(r.url))
-        tab.on("pageerror", lambda error: problems.append(str(error)))
-        tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-        tab.goto(session.address)
-        tab.locator("#phase[data-value=ready]").wait_for()
-        yield tab
+    tab = chromium.new_page(viewport={"width": 1280, "height": 800})
+    tab.set_default_timeout(120_000)
+    tab.route("**/scene*", lambda route: route.fulfill(body="<p>scene</p>"))
+    tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(r.url))
+    tab.on("pageerror", lambda error: problems.append(str(error)))
+    tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    tab.goto(session.address)
+    tab.locator("#phase[data-value=ready]").wait_for()
+    yield tab
+    tab.close()
 
 
 @pytest.fixture
@@ -172,7 +173,7 @@ def test_a_lost_connection_holds_the_robot(
 
     monkeypatch.setattr(session.page, "closed", note)
     client.do("begin")
-    client.next(lambda s: s["time"] > 1.0, belts=1, front=1)
+    client.next(lambda s: s["time"] > 0.5, belts=1, front=1)
     client.socket.socket.shutdown(socket.SHUT_RDWR)  # without a word
     again = Client(session)
     again.next(lambda s: s["phase"] == "held")
@@ -199,9 +200,9 @@ def test_a_policy_turns_what_the_person_leaves(tmp_path: Path) -> None:
         client = Client(session)
         assert client.scene["shared"]
         client.do("begin")
-        client.next(lambda s: s["time"] > 1.0, belts=1)
+        client.next(lambda s: s["time"] > 0.5, belts=1)
         assert client.state["who"] == {"front": "policy", "rear": "policy"}
-        client.next(lambda s: s["time"] > 2.0, belts=1, rear_steps=1)
+        client.next(lambda s: s["time"] > 1.0, belts=1, rear_steps=1)
         assert client.state["who"] == {"front": "policy", "rear": "person"}
         client.do("release")
         client.next(lambda s: s["who"]["rear"] == "policy", belts=1, rear_steps=1)
@@ -238,10 +239,9 @@ def test_cameras_show_what_is_there(tmp_path: Path) -> None:
         assert not session.folder.path.exists()  # a drive that was broken off leaves nothing
 
 
-@pytest.mark.skipif(browser.installed() is None, reason="no Chromium is installed")
-def test_a_browser_drives_by_keys(session: Session) -> None:
+def test_a_browser_drives_by_keys(session: Session, chromium: Any) -> None:
     problems: list[str] = []
-    with page_of(session, problems) as tab:
+    with page_of(session, chromium, problems) as tab:
         operator = ScriptedOperator(
             tab, [Way(-2, 1, 0), Way(0, 0, 0)], 0.4, keys=True, reaction=0.1
         )
@@ -255,9 +255,8 @@ def test_a_browser_drives_by_keys(session: Session) -> None:
     assert operator.latencies
 
 
-@pytest.mark.skipif(browser.installed() is None, reason="no Chromium is installed")
 def test_a_closed_browser_holds_the_robot(
-    session: Session, monkeypatch: pytest.MonkeyPatch
+    session: Session, chromium: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.undo()  # the real limit
     received, heard = session.page.received, [0.0]
@@ -268,10 +267,10 @@ def test_a_closed_browser_holds_the_robot(
         received(client, message)
 
     monkeypatch.setattr(session.page, "received", note)
-    with page_of(session, []) as tab:
+    with page_of(session, chromium, []) as tab:
         tab.keyboard.press("Enter")
         tab.keyboard.down("ArrowUp")
-        tab.wait_for_function("state.time > 1.5")
+        tab.wait_for_function("state.time > 1.0")
     client = Client(session)
     client.do("take")
     client.next(lambda s: s["phase"] == "ready")

@@ -99,6 +99,9 @@ window.requestAnimationFrame = frame => setTimeout(() => draw(frame), 300)"""
 @pytest.fixture
 def served() -> Iterator[tuple[Gate, page.WatchPage]]:
     with Gate(0) as gate:
+        # Without a graphics card, either takes a browser seconds to begin with.
+        gate.server.scene.configure_environment_map(None)
+        gate.server.scene.configure_default_lights(cast_shadow=False)
         shown = page.WatchPage(gate.server, [entrant("generalist"), entrant("level")], speed=2)
         thread = threading.Thread(target=shown.run, daemon=True)
         thread.start()
@@ -132,7 +135,7 @@ def test_the_page_is_driven_by_keys_and_buttons(served: tuple[Gate, page.WatchPa
         tab.get_by_role("button", name="Pause").click()
         expect(tab.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
         numbers = tab.get_by_text(re.compile(r"time \d+\.\d s")).first
-        tab.wait_for_timeout(1000)  # the running decision ends
+        tab.wait_for_timeout(500)  # the running decision ends
         before = _time(numbers.inner_text())
         tab.get_by_text("Step", exact=True).click()
         expect(numbers).not_to_contain_text(f"time {before:.1f} s", timeout=20_000)
