@@ -211,3 +211,4 @@ def test_a_configuration_folder_leaves_the_checks_of_a_training(tmp_path: Path) 
     done = call("train", "--config-dir", "own", *words, cwd=tmp_path)
     assert done.code == 2, done.err
     assert "sim.friction=0.5: it has no effect, since randomise.sim.friction=" in done.err
+    assert not (tmp_path / "runs").exists()

@@ -108,6 +108,7 @@ def train(arguments: list[str], *, check: bool) -> None:
             if HydraConfig.get().mode is RunMode.MULTIRUN:
                 raise
             directory = Path(HydraConfig.get().runtime.output_dir)
+            _remove_empty(directory)
             stopped = session.interrupted_run(directory)
             # Hydra would add its own lines to an exception that it handles.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
@@ -136,6 +137,15 @@ def train(arguments: list[str], *, check: bool) -> None:
         sys.argv = previous_argv
         if several:
             shut_down()  # Hydra's launcher leaves it running
+
+
+def _remove_empty(directory: Path) -> None:
+    """Remove what Hydra made for a run that has written nothing, within the working directory."""
+    here = Path.cwd()
+    for folder in (directory, *directory.parents):
+        if here in folder.parents:
+            with contextlib.suppress(OSError):  # it holds files, or is gone already
+                folder.rmdir()
 
 
 def _typed(name: str) -> str:
