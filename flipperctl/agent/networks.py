@@ -171,45 +171,35 @@ def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
 
 def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:
     """Raise ConfigError unless the module returns Q-values in every mode that is used later."""
-    shape = tuple(probe.shape)
-    # Values of two observations: their shape, their type, their numbers.
-    output = _call(network, module, probe, f" fails on observations of shape {shape}")
-    returned = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
-    if returned != (2, n_actions):
-        text = f"observations {shape} must give Q-values (2, {n_actions}); the output is {returned}"
-        raise _unfit(network, text)
-    if output.dtype != torch.float32 or not bool(output.isfinite().all()):
-        text = (
-            "the Q-values must be finite float32 numbers; "
-            f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
-        )
-        raise _unfit(network, text)
-    if isinstance(module, Distributional):
-        quantiles = _call(network, module, probe, "", "quantiles")
-        returned = tuple(getattr(quantiles, "shape", ())) or type(quantiles).__name__
-        if len(returned) != 3 or returned[:2] != (2, n_actions) or not returned[2]:
-            text = (
-                f"observations {shape} must give quantiles (2, {n_actions}, K); they are {returned}"
-            )
-            raise _unfit(network, text)
-    # Modes and numbers of rows as they occur later.
-    uses = (
-        ("train", 1, "in train() mode, which training episodes use"),
-        ("eval", 1, "in eval() mode, which evaluation and export use"),
-        ("eval", 2, "in eval() mode, which the check of an export uses"),
-    )
-    for mode, rows, use in uses:
+    # Training episodes decide on one observation, the loss and the check of an export on several.
+    for mode, rows in (("train", 2), ("train", 1), ("eval", 1), ("eval", 2)):
         module.train(mode == "train")
-        number = "one observation" if rows == 1 else "a batch"
-        output = _call(network, module, probe[:rows], f" fails on {number} {use}")
-        returned = (
-            tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
-        )
-        if returned != (rows, n_actions):
-            text = (
-                f"{number} {use} must give Q-values ({rows}, {n_actions}); the output is {returned}"
+        shape = rows, probe.shape[1]
+        output = _call(network, module, probe[:rows], f" fails on {shape} in {mode}() mode")
+        fits = isinstance(output, torch.Tensor) and output.shape == (rows, n_actions)
+        if not (fits and output.dtype == torch.float32 and bool(output.isfinite().all())):
+            raise _unfit(
+                network,
+                f"observations {shape} in {mode}() mode must give Q-values ({rows}, {n_actions}), "
+                f"finite numbers of float32; the output is {_described(output)}",
             )
-            raise _unfit(network, text)
+    if isinstance(module, Distributional):
+        output = _call(network, module, probe, "", "quantiles")
+        shape = tuple(getattr(output, "shape", ()))
+        if len(shape) != 3 or shape[:2] != (2, n_actions) or not shape[2]:
+            raise _unfit(
+                network,
+                f"observations {tuple(probe.shape)} must give quantiles (2, {n_actions}, K); they "
+                f"are {_described(output)}",
+            )
+
+
+def _described(output: object) -> str:
+    """Return shape and type of an output, and an example of its numbers."""
+    if not isinstance(output, torch.Tensor):
+        return f"a {type(output).__name__}"
+    example = f", such as {output.flatten()[0]}" if output.numel() else ""
+    return f"{tuple(output.shape)} of {output.dtype}{example}"
 
 
 def _unfit(network: Network, text: str) -> ConfigError:

@@ -290,7 +290,7 @@ def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
         with pytest.raises(ValueError, match="0 to 1 is allowed"):
             env.reset(options={"difficulty": difficulty})
     for options, words in (
-        ({"dificulty": 0.0}, "did you mean 'difficulty'"),
+        ({"dificulty": 0.0}, "'difficulty' is allowed"),
         ([1], "a mapping is"),
     ):
         with pytest.raises(ValueError, match=words):
@@ -330,9 +330,9 @@ def test_no_rewards_at_all_are_asked_for_by_an_empty_mapping() -> None:
         (lambda: Profile([(0.0, 0.0), (1.0, math.nan)]), "point 1 is not finite"),
         (lambda: [(0.0, 0.0), (1.0, 0.0)], "must return a Profile; it returned a list"),
         (lambda: None, "must return a Profile; it returned a NoneType"),
-        (lambda: Profile([(0, 0)], drawn=["steps"]), "are a list, ['steps']; a mapping"),
-        (lambda: Profile([(0, 0)], drawn={"a b": 1}), "have the name 'a b'; a word"),
-        (lambda: Profile([(0, 0)], drawn={"n": math.inf}), "have n = inf; a finite number"),
+        (lambda: Profile([(0, 0)], drawn=["steps"]), "are ['steps']; a mapping"),
+        (lambda: Profile([(0, 0)], drawn={"a b": 1}), "have 'a b': 1; words"),
+        (lambda: Profile([(0, 0)], drawn={"n": math.inf}), "have 'n': inf; words with finite"),
     ],
     ids=["x decreases", "empty", "not finite", "list", "None", "drawn", "name", "infinite"],
 )

@@ -122,5 +122,5 @@ def test_an_episode_drives_on_thinned_ground() -> None:
     before = env.state.position[0]
     env.step(4)
     assert env.state.position[0] - before == pytest.approx(0.12, abs=0.03)
-    with pytest.raises(TerrainError, match=r"terrain 'drawn'.*1e\+06 m long"):
+    with pytest.raises(TerrainError, match=r"terrain 'drawn'.*1e\+06 m of length"):
         drive_on([(0, 0), (1e6, 0)]).reset(seed=0)
