@@ -289,12 +289,8 @@ def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
     for difficulty in (5, -0.1, math.nan, 10**400, "hard"):
         with pytest.raises(ValueError, match="0 to 1 is allowed"):
             env.reset(options={"difficulty": difficulty})
-    for options, words in (
-        ({"dificulty": 0.0}, "'difficulty' is allowed"),
-        ([1], "a mapping is"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            env.reset(options=options)
+    with pytest.raises(ValueError, match="'dificulty'; 'difficulty' is allowed"):
+        env.reset(options={"dificulty": 0.0})
     env.reset(seed=0)
     while not any(env.step(HOLD)[2:4]):
         pass
