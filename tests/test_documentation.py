@@ -55,10 +55,10 @@ SEARCH = {
 """Smaller searches of the controllers that look ahead."""
 ELSEWHERE = {"robot shadow", "bench"}
 """Subcommands that tests of their own run (tests/ros, tests/cli/test_commands.py)."""
-NIGHTLY = {"robot check", "export onnx"}
-"""Subcommands that take long, and that other tests run (tests/ros, tests/export); make long."""
-AT_ONCE = {"compare", "inspect config"}
-"""Subcommands of which each command runs in ``make test``, as it takes no time."""
+NIGHTLY = {"robot check", "export onnx", "tune"}
+"""Subcommands that take long, and that other tests run; make long."""
+LONG_WORDS = {"--check", "--film sim=mujoco"}
+"""Words that take long, and that tests/cli/test_new.py and tests/figures/test_film.py have."""
 SHORT = ["episode.run_up=0.8", "episode.run_out=0.5"]
 """A shorter way to the ground."""
 SPARSE = ["perception.azimuths=60", *SHORT]
@@ -233,8 +233,9 @@ def cases() -> Iterator[Any]:
     seen = set(ELSEWHERE)
     for command in commands():
         name = subcommand(command)
-        shown = command in first or name not in seen or name in AT_ONCE
-        long = name in NIGHTLY or not shown
+        shown = command in first or name not in seen
+        words = {w for w in LONG_WORDS if {*w.split()} <= {*command}}
+        long = name in NIGHTLY or not shown or bool(words)
         seen.add(name)
         if command not in LAUNCHED and name != "drive":  # tests/live drives
             yield pytest.param(command, id=" ".join(command), marks=[pytest.mark.long] * long)

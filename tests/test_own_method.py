@@ -15,7 +15,8 @@ from flipperctl.runtime import OnnxPolicy
 from tests.scripting.test_interface import BUDGET
 from tests.test_documentation import OWN_METHOD, ROOT, blocks
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
+"""Of what they call, tests/scripting and tests/export test each part."""
 
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 FEWER = {"20_000": "150", "15_000": "150", "1_000": "50", "range(1, 6)": "range(1, 2)"}
@@ -47,7 +48,6 @@ def test_every_method_of_the_page_is_trained_saved_and_evaluated(tmp_path: Path)
     assert (tmp_path / "dqn" / "1" / "episodes.csv").is_file()
 
 
-@pytest.mark.long  # tests/scripting calls the same functions, and shows progress in a cell
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 def test_a_notebook_runs(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)

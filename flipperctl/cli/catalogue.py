@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cache
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, NamedTuple
@@ -214,7 +215,7 @@ def presets() -> Iterator[Entry]:
 def preset(group: str, name: str, file: Any) -> Entry:
     """Return a named set of settings; its first comment, or a suite's ``about``, is about it."""
     text = strict_yaml.read_text(file, file.name)
-    document = strict_yaml.parse(text, file.name) or {}
+    document = _parsed(text, file.name)
     # The first comment of a preset says what it is for.
     first = re.match(r"(?:# @package .*\n)?((?:#.*\n)*)", text)
     comment = " ".join(line.lstrip("# ") for line in (first[1] if first else "").splitlines())
@@ -227,8 +228,15 @@ def preset(group: str, name: str, file: Any) -> Entry:
         if group == "experiment":  # and what it sets of single learners
             for part, inner in files("by_learner").items():
                 if part.startswith(f"{name}-"):
-                    settings |= _flat(strict_yaml.read(inner, part) or {}, f"{Learner.kind}.")
+                    inside = _parsed(strict_yaml.read_text(inner, part), part)
+                    settings |= _flat(inside, f"{Learner.kind}.")
     return Entry(group, name, first_sentence(about), about, settings)
+
+
+@cache
+def _parsed(text: str, where: str) -> Any:
+    """Return the data of a preset, to be read alone; a command may ask for it several times."""
+    return strict_yaml.parse(text, where) or {}
 
 
 def first_sentence(text: str) -> str:

@@ -19,7 +19,8 @@ KINDS = FAMILIES.split()
 AT_NIGHT = re.compile(
     r"perception-lidar-(episodes|returns)|.*-another process"
     r"|controller-(?!okada-|greedy|hfc|random|level).*-(actions|repeats|in time)"
-    r"|network-(?!conv).*-onnx|network-(?!noisy).*-trains|agent-(?!d3qn).*-trains"
+    r"|network-.*-onnx|network-(?!noisy).*-trains|agent-(?!d3qn).*-trains"
+    r"|command-(?!demo|robot self-test).*-bad input"
     r"|terrain-(?!midway).*-picture"
 )
 """They take long, and tests of these rooms and one of their kind prove the same in short."""

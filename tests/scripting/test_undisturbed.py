@@ -136,6 +136,7 @@ def test_a_public_function_disturbs_nothing_and_depends_on_nothing(
     assert result == expected
 
 
+@pytest.mark.long
 def test_the_first_use_of_the_interface_draws_no_random_number() -> None:
     script = (
         "import random, numpy; before = random.getstate(), numpy.random.get_state()[1].tolist()\n"
