@@ -9,7 +9,6 @@ from flipperctl import api
 from flipperctl.api import (
     ACTIONS,
     ObservationLayout,
-    Outcome,
     Profile,
     RobotGeometry,
     action_index,
@@ -33,10 +32,6 @@ RAMP = Profile([(0.0, 0.0), (2.0, 1.0), (2.0, 0.0), (3.0, -0.5)])
 )
 def test_height(x: float, height: float) -> None:
     assert RAMP.height(x) == pytest.approx(height)
-
-
-def test_one_point_is_level_ground() -> None:
-    assert [Profile([(1.0, 0.3)]).height(x) for x in (0.0, 1.0, 2.0)] == [0.3, 0.3, 0.3]
 
 
 def test_start_and_end_are_the_first_and_the_last_edge() -> None:
@@ -110,10 +105,6 @@ def test_a_turn_that_is_none_is_refused(turns: tuple[int, int], name: str) -> No
 def test_a_setting_cannot_be_set() -> None:
     with pytest.raises(AttributeError, match=r"Robot\.track_speed cannot be set: settings do not"):
         api.Robot().track_speed = 0.3
-
-
-def test_outcomes_are_their_names() -> None:
-    assert [str(o) for o in Outcome] == ["reached", "overturned", "stuck", "timeout"]
 
 
 def test_lengths_of_the_robot_are_overall_lengths_of_capsules() -> None:

@@ -16,7 +16,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.policies.source import PolicySource
 from flipperctl.ros.episode import export_bag
 from flipperctl.ros.messages import typestore
-from tests.runtime.linear import RISK, ROBOT, RULE, write
+from tests.runtime.linear import ROBOT, RULE, write
 
 FILE = Path(__file__).parents[1] / "examples" / "ros2" / "flipperctl_node.py"
 Stream = list[tuple[float, str, Any]]
@@ -293,17 +293,6 @@ def test_shadow_mode_commands_nothing(node: Any, stream: Stream) -> None:
     assert node.published["belts_may_run"] == []
 
 
-@pytest.mark.parametrize("node", [{}, {"escape": True}], indirect=True)
-def test_escapes_are_switched_on(node: Any, tmp_path: Path) -> None:
-    escape = {"temperature": 1.0, "decisions": 4}
-    file = write(
-        tmp_path / "e.onnx", robot=ROBOT, targets=RULE, risky=True, risk=RISK, escape=escape
-    )
-    node.policy = str(file)
-    node.begin(type(node).begin.__globals__["MOUNT"])
-    assert (node.controller.policy._escape is not None) is node.escape
-
-
 def split(stream: Stream) -> Iterator[tuple[float, str, Any]]:
     """Each pair of flippers has messages of its own."""
     for time, topic, message in stream:
@@ -321,10 +310,3 @@ def test_joints_in_parts_are_taken(node: Any, stream: Stream) -> None:
     assert first < 3
     assert faults(told[first:]) == set()
     assert node.warnings == []
-
-
-def test_a_cloud_without_coordinates_is_told(node: Any, stream: Stream) -> None:
-    message = next(m for _, topic, m in stream if topic == "points")
-    node.on_cloud(Message(**{**vars(message), "fields": message.fields[1:]}))
-    assert node.cloud is None
-    assert "a cloud needs x, y and z as floats" in node.warnings[0]

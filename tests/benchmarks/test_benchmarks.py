@@ -1,6 +1,5 @@
 """The developers' measures at their smallest, and the tables that they make."""
 
-import contextlib
 import json
 import math
 import shlex
@@ -12,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks import __main__ as benchmarks
 from benchmarks import (
     coverage,
     engine_agreement,
@@ -29,7 +27,6 @@ from benchmarks import (
 from benchmarks.settings import (
     MEASURES,
     Benchmark,
-    BenchmarkSettings,
     quantity,
     ratio,
     sizes,
@@ -38,8 +35,6 @@ from benchmarks.settings import (
 from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
 from flipperctl.checkpoint import read
-from flipperctl.cli.main import run_app
-from flipperctl.commands.speed import measure_in_turn
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
@@ -105,34 +100,6 @@ def test_the_learner_s_updates_are_the_gradient_steps_that_it_takes(candidates: 
         contestant.update()
     assert contestant.together == steps.call_count == 3
     assert steps.call_args.args[0].baselines is not None
-
-
-def test_the_command_measures_with_settings_of_its_own(tmp_path, capsys) -> None:
-    words = ["physics", "--small", "--json", "--output", "speed", "bench.limit=3"]
-    with contextlib.chdir(tmp_path):
-        assert run_app(benchmarks.app, words, "benchmarks") == 0
-    document = json.loads(capsys.readouterr().out)
-    assert json.loads((tmp_path / "speed" / "bench.json").read_text()) == document
-    assert document["settings"]["limit"] == 3.0
-    check(document["measures"]["physics"])
-    assert document["measures"]["physics"]["ratios"][RATIOS["physics"]]
-    names = (*MEASURES, *BenchmarkSettings.model_fields)
-    assert [name for name in names if name not in benchmarks.HELP] == []
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "words",
-    [
-        *("coverage --repetitions 2", "seed_coverage --repetitions 1 --mix seeds --shape normal"),
-        *("statics --episodes 1 terrain=flat", "engine_agreement --episodes 1 terrain=step"),
-        *("odometry --families flat --pose belts", "estimator_fuzz --count 50"),
-    ],
-)
-def test_a_command_prints_its_table(words, capsys) -> None:
-    name, *arguments = words.split()
-    assert import_module(f"benchmarks.{name}").main(arguments) == 0
-    assert capsys.readouterr().out
 
 
 def test_no_page_disagrees_with_its_results() -> None:
@@ -222,37 +189,10 @@ def test_a_quantity_keeps_its_raw_numbers_and_has_quartiles_between_neighbours()
     assert (found["low"], found["median"], found["high"]) == (1.25, 1.5, 1.75)
 
 
-def test_an_unfinished_run_counts_as_longer_than_any() -> None:
-    found = quantity([10.0, None, 30.0, None, 20.0], "s")
-    assert found["median"] == 30.0
-    assert found["low"] == 20.0
-    assert found["high"] is None
-    assert quantity([10.0, None, None], "s")["median"] is None
-
-
 def test_a_ratio_is_of_medians_and_its_spread_of_pairs() -> None:
     found = ratio([2.0, 9.0, 4.0], [1.0, 3.0, 4.0])  # pairs 2, 3, 1; medians 4 and 3
     assert found["ratio"] == pytest.approx(4 / 3)
     assert (found["low"], found["high"], found["rounds"]) == (1.5, 2.5, 3)
-
-
-def test_a_ratio_of_unfinished_runs() -> None:
-    assert ratio([None], [5.0]) == {"ratio": None, "low": None, "high": None, "rounds": 1}
-    assert ratio([None], [None])["rounds"] == 0
-    assert ratio([5.0], [None])["low"] == 0.0
-
-
-def test_contestants_take_turns() -> None:
-    order: list[str] = []
-
-    def runner(name: str):
-        return lambda: order.append(name) or float(len(order))
-
-    fractions: list[float] = []
-    found = measure_in_turn({"a": runner("a"), "b": runner("b")}, 3, fractions.append)
-    assert order == ["a", "b", "a", "b", "a", "b"]
-    assert found == {"a": [1.0, 3.0, 5.0], "b": [2.0, 4.0, 6.0]}
-    assert fractions[-1] == 1.0
 
 
 def test_a_new_risk_comes_into_a_policy_and_changes_nothing_else(tmp_path: Path) -> None:

@@ -3,14 +3,11 @@
 import json
 import re
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.commands.bench import split_arguments
 from flipperctl.env.metrics import RESERVED, measures
 from flipperctl.text.files import read_csv
 from flipperctl.training.trainer import Trainer
@@ -153,18 +150,3 @@ def test_one_document_with_machine_settings_and_raw_numbers(tmp_path: Path) -> N
         "decision.p99": "µs",
     }
     assert all(len(q["values"]) == 2 and min(q["values"]) > 0 for _, q in found)
-
-
-def test_decisions_are_timed_without_torch_and_pymunk() -> None:
-    code = "import sys; from flipperctl.commands.speed import HEAVY"
-    code += "; print([n for n in HEAVY if n in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_measures_and_overrides_come_in_any_order() -> None:
-    given = ["c", "seed=2", "a", "~rewards.pitch"]
-    known = ("a", "b", "c")
-    assert split_arguments(given, known) == (["a", "c"], ["seed=2", "~rewards.pitch"])
-    for every in ([], ["all", "c"]):
-        assert split_arguments(every, known) == (["a", "b", "c"], [])

@@ -2,8 +2,6 @@
 
 import csv
 import json
-import shutil
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -98,32 +96,6 @@ def test_tables_on_the_terminal_and_in_latex(seeds: Path) -> None:
 
 def latex_of(folder: Path) -> str:
     return (folder / "table.tex").read_text()
-
-
-DOCUMENT = r"""
-\documentclass[twocolumn]{article}
-\usepackage{booktabs}
-\setlength{\columnsep}{12pt}\setlength{\textwidth}{516pt}
-\begin{document}
-\begin{table}[h]\centering\input{table.tex}\end{table}
-\end{document}
-"""
-
-
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="there is no LaTeX")
-@pytest.mark.parametrize("command", ["compare", "eval"])
-def test_the_table_fits_into_a_column_of_an_article(command: str, seeds: Path) -> None:
-    write(seeds / "other", {"runs/9/best_of": 1.5, "level": 2.0}, failed=0)
-    if command == "compare":
-        words = ["plain", "other", "--against", "level", "--output", "table.tex"]
-    else:
-        words = ["okada", "level", "terrain=flat", "--episodes", "5", "--output", "."]
-    assert call(command, *words, cwd=seeds).code == 0
-    (seeds / "article.tex").write_text(DOCUMENT)
-    run = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "article.tex"]
-    done = subprocess.run(run, cwd=seeds, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
-    assert "Overfull" not in done.stdout
 
 
 @pytest.mark.parametrize(

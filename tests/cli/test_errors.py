@@ -1,12 +1,8 @@
 """Faulty files and plugins: one or two lines that name them, an exit code, and nothing is lost."""
 
-import shutil
 from pathlib import Path
 
-import pytest
-
 from flipperctl import checkpoint
-from flipperctl.errors import ConfigError
 from tests.cli.call import EXACT, call, refused
 
 QUICK = [f"{key}={value}" for key, value in EXACT.items()]
@@ -23,17 +19,6 @@ class Odd(Terrain):
         return Profile({points})
 """
 )
-
-
-def test_an_existing_run_is_never_overwritten(short_run: Path, tmp_path: Path) -> None:
-    run = Path(shutil.copytree(short_run, tmp_path / "run"))
-    (run / "config.yaml").write_text("mine")
-    done = call("train", *QUICK, f"hydra.run.dir={run}", cwd=tmp_path)
-    assert done.code == 2
-    assert "already holds a run" in done.err
-    assert (run / "config.yaml").read_text() == "mine"
-    best = checkpoint.BEST
-    assert (run / best).read_bytes() == (short_run / best).read_bytes()
 
 
 def test_what_resume_does_not_take(short_run: Path, tmp_path: Path) -> None:
@@ -73,20 +58,6 @@ def test_an_output_that_cannot_be_written_is_refused(short_run: Path, tmp_path: 
         assert "cannot be written" in refused(*arguments, cwd=tmp_path)
 
 
-def test_debug_shows_the_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("FLIPPERCTL_DEBUG", "1")
-    with pytest.raises(ConfigError):
-        call("train", "agent.gamma=7", cwd=tmp_path)
-
-
-def test_a_bad_profile_names_its_terrain(tmp_path: Path) -> None:
-    (tmp_path / "odd.py").write_text(TERRAIN.format(points="[(0, 0), (1, 0), (0.5, 0)]"))
-    for command in ("inspect terrain odd", "eval level terrain=odd", "train terrain=odd"):
-        error = refused(*command.split(), "--plugins", "odd.py", cwd=tmp_path)
-        assert "odd" in error
-        assert "x decreases from 1 to 0.5" in error
-
-
 def test_a_plugin_that_sets_its_own_settings_is_told_what_to_do(tmp_path: Path) -> None:
     source = TERRAIN.format(points="[(0, 0)]").replace(
         "        return", "        self.k = 3\n        return"
@@ -123,15 +94,3 @@ def test_a_reward_that_returns_nan_is_named_and_stops(tmp_path: Path) -> None:
     assert "Error executing job" not in done.err
     shown = " ".join(call("inspect", "run", "run", cwd=tmp_path).out.split())
     assert "run: ended by an error, or killed; resume with: flipperctl train --resume run" in shown
-
-
-def test_a_network_of_wrong_output_shape_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "n.py").write_text(
-        HEADER + '@network("narrow")\nclass Narrow(Network):\n'
-        "    def build(self, layout, n_actions):\n"
-        "        import torch\n        return torch.nn.Linear(layout.size, n_actions - 1)\n"
-    )
-    done = call("train", "network=narrow", *QUICK, "--plugins", "n.py", cwd=tmp_path)
-    assert done.code == 2
-    assert "(2, 9)" in done.err
-    assert "(2, 8)" in done.err

@@ -88,18 +88,6 @@ def test_run_and_exported_file_name_the_plugins_files_and_no_folder(made: Path) 
 
 
 @pytest.mark.parametrize("policy", ["run", "run.onnx"])
-def test_a_missing_terrain_is_named_with_its_file(made: Path, policy: str) -> None:
-    file = "run/checkpoints/best.safetensors" if policy == "run" else policy
-    for terrain in ([], ["terrain=step,ridge"]):
-        done = call("eval", "--checkpoint", policy, *terrain, *NETWORK, cwd=made)
-        assert (done.code, done.out) == (2, "")
-        assert done.err == (
-            f"error: {file}: there is no terrain plugin 'ridge'; {FROM[policy].format('ridge')}, "
-            "or evaluate another one with terrain=NAME\n"
-        )
-
-
-@pytest.mark.parametrize("policy", ["run", "run.onnx"])
 def test_another_terrain_needs_no_plugin_of_the_training(made: Path, policy: str) -> None:
     command = ["eval", "--checkpoint", policy, "terrain=step", "--episodes", "1", "--json"]
     network = NETWORK if policy == "run" else ()

@@ -9,7 +9,6 @@ import pytest
 from rich.cells import cell_len
 
 from flipperctl.api import registry
-from flipperctl.cli import glossary
 from flipperctl.cli.catalogue import KINDS, keys_named
 from flipperctl.config import TrainConfig
 from tests.cli.call import call
@@ -38,17 +37,6 @@ def test_every_name_has_a_line_of_its_own(
         assert starts, one["name"]
         if kind != "policies":  # the sentences of their cards
             assert any(one["summary"] in line for line in starts), one["summary"]
-
-
-def test_kinds_have_examples_that_name_what_there_is(tmp_path: Path) -> None:
-    counts = {row["kind"]: row["count"] for row in document("list", cwd=tmp_path)}
-    assert counts["terrains"] == sum(kind == "terrain" for kind, _ in registry)
-    assert counts["runs"] == 0
-    for kind, groups in KINDS.items():
-        for group, one in groups.items():
-            if kind != "runs":
-                names = [e["name"] for e in document("list", kind, cwd=tmp_path)["names"]]
-                assert one.example in names, group
 
 
 def test_a_run_is_listed_with_its_best_validation(short_run: Path, tmp_path: Path) -> None:
@@ -109,11 +97,6 @@ def test_names_words_and_anything_else(tmp_path: Path) -> None:
         == "agent.gamma"
     )
     assert "flipperctl map" in call("explain", "map", cwd=tmp_path).out
-
-
-def test_every_line_of_the_glossary_is_read() -> None:
-    lines = [line for line in glossary._TEXT.splitlines() if line and line[0] != " "]
-    assert [line.partition(": ")[0] for line in lines] == list(glossary.GLOSSARY)
 
 
 def test_a_contact_sheet_of_the_terrains(tmp_path: Path) -> None:

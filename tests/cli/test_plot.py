@@ -1,7 +1,6 @@
 """``plot``: figures of runs, results and maps, and what it refuses."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from matplotlib.figure import Figure
 import flipperctl
 from flipperctl.api import RobotGeometry
 from flipperctl.errors import RequestError
-from flipperctl.figures.episode import poses_figure
 from flipperctl.requests.drawing import draw, length
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import write as write_traces
@@ -127,11 +125,6 @@ def test_cells_of_a_heat_table_tell_the_success_below_all(here: Path) -> None:
     assert [text.get_text() for text in axes.texts] == ["1.46\n88 %", "2.35"]
 
 
-def test_a_map_is_labelled_in_words(here: Path) -> None:
-    axes = drawn(here, "found").axes[0]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("Height [m]", "Friction")
-
-
 def traced(policy: str, outcome: str = "reached", metres: float = 3.0) -> Trace:
     time = np.linspace(0.0, 10.0, 201)
     flat = np.zeros(201)
@@ -166,12 +159,6 @@ def test_policies_on_one_episode(here: Path) -> None:
         (["--only", "lev"], "did you mean 'level'?"),
     ):
         assert text in refused("plot", "judged", "--kind", "poses", *words, cwd=here)
-
-
-def test_a_robot_that_shakes_in_its_place_is_drawn_once() -> None:
-    still = traced("level", "stuck", metres=0.0)
-    shaken = replace(still, position=still.position + 0.1 * (np.arange(201)[:, None] % 2))
-    assert len(poses_figure([shaken], [""]).axes[0].texts) == 1
 
 
 def test_from_python(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

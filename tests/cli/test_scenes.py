@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import re
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from flipperctl.config.presets import shipped
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite
-from flipperctl.plugging import plugins
 from flipperctl.requests.compose import compose_train
 from flipperctl.requests.plan import make_plan, scenes
 from flipperctl.requests.text import from_words
@@ -114,21 +112,6 @@ def test_methods_stand_scene_by_scene_and_overrides_replace_those_of_the_suite()
     assert [entry.method for entry in plan.entries] == ["okada", "level"] * 2
     assert {entry.scene for entry in plan.entries} == {"families"}
     assert {entry.config.eval.episodes for entry in plan.entries} == {3}
-
-
-def test_suites_beside_a_plugin_have_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for folder in ("a", "b"):
-        (tmp_path / folder / "suite").mkdir(parents=True)
-        monkeypatch.setenv(plugins.VARIABLE, str(tmp_path / folder))
-        file = tmp_path / folder / "suite" / "mine.yaml"
-        file.write_text(f"about: of {folder}\nscenes: {{low: terrain=flat}}\n")
-        assert find_suite("mine").about == f"of {folder}"
-    monkeypatch.setenv(plugins.VARIABLE, os.pathsep.join(str(tmp_path / n) for n in "ab"))
-    with pytest.raises(ConfigError, match="have the same name; rename one"):
-        find_suite("mine")
-    file.rename(file.with_name("paper.yaml"))
-    with pytest.raises(ConfigError, match=r"paper\.yaml have the same name; rename one"):
-        find_suite("mine")
 
 
 @pytest.mark.parametrize(

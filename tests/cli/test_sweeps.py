@@ -112,16 +112,6 @@ def test_a_launcher_that_is_not_installed_names_its_package(
         assert len(done.err.splitlines()) == 1
 
 
-def test_optuna_that_is_not_installed_names_its_extra(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "optuna", None)
-    done = sweep(folder, "terrain=floor", *SEARCH, RATE)
-    assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "flipperctl[optuna]" in done.err
-    assert not (folder / "runs").exists()
-
-
 @pytest.mark.long
 def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) -> None:
     command = ["terrain=floor", *SEARCH, RATE, "hydra.sweeper.n_trials=2"]
@@ -165,16 +155,6 @@ def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) ->
 def states(folder: Path) -> list[str]:
     with (folder / "sweep.csv").open(newline="") as file:
         return [f"{row['job']} {row['state']}" for row in csv.DictReader(file)]
-
-
-@pytest.mark.long
-def test_a_storage_that_may_only_be_read_is_named(folder: Path) -> None:
-    search = "terrain=floor", SEARCH[0], RATE, "hydra.sweeper.n_trials=1"
-    assert sweep(folder, *search, SEARCH[1]).code == 0
-    only = "hydra.sweeper.storage='sqlite:///file:search.db?mode=ro&uri=true'"
-    done = sweep(folder, *search, only)
-    assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
-    assert "hydra.sweeper.storage: 'sqlite:///file:search.db?mode=ro&uri=true' cannot" in done.err
 
 
 def study(folder: Path) -> list[optuna.trial.FrozenTrial]:

@@ -6,7 +6,6 @@ import pytest
 
 from flipperctl.config import (
     EnvConfig,
-    RayCollector,
     Teacher,
     TrainConfig,
     parse,
@@ -82,17 +81,6 @@ def test_nested_and_dotted_overrides_and_a_whole_container_make_the_same_setting
     found = with_overrides(STAIR, {"rewards.pitch": None, "rewards.hit": "impact"})
     assert set(found.rewards) == {"flipper", "end", "hit"}
     assert with_overrides(STAIR, {"rewards": {}}).rewards == {}
-
-
-def test_a_collector_may_be_named_alone() -> None:
-    base = TrainConfig(terrain="stair", network="at_d3qn")
-    found = with_overrides(base, {"collector": "ray", "collector.workers": 3})
-    assert found.collector == RayCollector(workers=3)
-    assert with_overrides(found, {"collector": "local"}).collector == base.collector
-    later = with_overrides(base, {"collector.workers": 3, "collector": "ray"})
-    assert later.collector == found.collector  # in any order
-    kept = with_overrides(found, {"collector": "ray", "collector.patience": 9})
-    assert kept.collector == RayCollector(workers=3, patience=9)
 
 
 @pytest.mark.parametrize(

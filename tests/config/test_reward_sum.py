@@ -64,20 +64,6 @@ def test_the_sum_of_many_adds_terms_with_and_without_an_array_form() -> None:
     assert RewardSum({}).array(TWO).tolist() == [0.0, 0.0]
 
 
-@pytest.mark.usefixtures("registry")
-@pytest.mark.parametrize("value", [2, np.float32(2.0), np.array(2.0)])
-def test_any_single_number_is_a_value(value: Any) -> None:
-    @reward("two")
-    class Two(RewardTerm):
-        """Two, always."""
-
-        def __call__(self, t: Transition) -> Any:
-            return value
-
-    (found,) = RewardSum({"two": term("two", weight=0.5)})(transition()).values()
-    assert (found, type(found)) == (1.0, float)
-
-
 def summed(form: Callable[[Transitions], Any], weight: float = 1.0) -> RewardSum:
     """Return the sum of a term whose array form is that."""
 
@@ -148,22 +134,6 @@ def test_a_value_of_one_decision_that_fails_is_named(
     with pytest.raises(error, match=text) as raised:
         found(transition())
     assert f"{Path(__file__).name}:" in str(raised.value)
-
-
-@pytest.mark.usefixtures("registry")
-def test_weighted_values_of_an_array_form_have_a_limit() -> None:
-    @reward("wide")
-    class Wide(RewardTerm):
-        """A term without bounds."""
-
-        def __call__(self, t: Transition) -> float:
-            return 1e300
-
-        def array(self, ts: Transitions) -> np.ndarray:
-            return np.array([0.0, 1e300])
-
-    with pytest.raises(PluginFailedError, match=r"array returned 1e\+300, .*1e-20, at time 1.20 s"):
-        RewardSum({"wide": term("wide", weight=1e-20)}).array(TWO)
 
 
 @pytest.mark.usefixtures("registry")

@@ -71,12 +71,6 @@ def test_pitch_variation_is_that_of_reached_episodes() -> None:
     assert success.middle[-1] == 50.0
 
 
-def test_methods_differ_by_their_lines_as_well() -> None:
-    runs = {f"m{at}": [validations(1, 2, at)] for at in range(12)}
-    drawn = curves_figure(runs, ["return"]).axes[0].get_lines()
-    assert len({(str(line.get_color()), line.get_linestyle()) for line in drawn}) == 12
-
-
 def test_a_single_run_shows_its_training_and_its_validations() -> None:
     figure = curves_figure({"run": [[*episodes(40), *validations(3, 2)]]}, ["success", "loss"])
     success, loss = figure.axes

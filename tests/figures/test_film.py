@@ -204,17 +204,6 @@ def draw(width=64, height=48):
     return world.draw(width, height)
 
 
-@pytest.mark.parametrize(
-    ("variable", "words"),
-    [("", "has neither EGL nor OSMesa: on Debian, apt install libegl1"), ("egl", "has no EGL")],
-)
-def test_without_a_library_the_error_names_what_to_install(variable, words, monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", variable)
-    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
-    with pytest.raises(RequestError, match=words):
-        draw()
-
-
 def test_a_driver_that_cannot_draw_is_named_and_pictures_have_a_largest_size(monkeypatch):
     def fail(name):
         raise RuntimeError("no device")

@@ -18,7 +18,7 @@ from flipperctl.api import FloatArray, Outcome, RobotGeometry, RobotState
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import HEIGHT
 from flipperctl.figures.render import CHASSIS, EARTH, Renderer
-from flipperctl.sim.outline import axles, belt_length, belt_marks, belt_points, capsule, outlines
+from flipperctl.sim.outline import capsule, outlines
 
 ROBOT = RobotGeometry()
 MIDDLE = (193, 502)  # row and column of the chassis centre, to which the view is tied [px]
@@ -108,33 +108,6 @@ def test_the_level_robot_is_as_long_as_the_paper_says() -> None:
     assert parts[2, :, 0].min() == pytest.approx(2.0 - 0.28 - 0.336 - 0.1)
     inner = outlines(at(2.0, 0.1), ROBOT, inset=0.02)
     assert np.ptp(inner[0], axis=0) == pytest.approx([0.72, 0.16])
-
-
-def test_raised_flippers_are_above_the_chassis() -> None:
-    chassis, front, rear = axles(at(1.0, 0.5, pitch=0.1, front=0.4, rear=0.3), ROBOT)
-    centre, ahead = np.array([1.0, 0.5]), 0.28 * np.array([math.cos(0.1), math.sin(0.1)])
-    assert chassis == pytest.approx(np.array([centre - ahead, centre + ahead]))
-    tip = chassis[1] + 0.336 * np.array([math.cos(0.5), math.sin(0.5)])
-    assert front == pytest.approx(np.array([chassis[1], tip]))
-    tail = chassis[0] + 0.336 * np.array([-math.cos(0.2), math.sin(0.2)])  # 0.3 - 0.1 above level
-    assert rear == pytest.approx(np.array([tail, chassis[0]]))
-
-
-def test_a_belt_runs_forward_above_and_backward_below() -> None:
-    turn = math.pi * 0.5
-    points, forward = belt_points((0, 0), (1, 0), 0.5, np.array([0.25, 1 + turn / 2, 1.5 + turn]))
-    assert points == pytest.approx(np.array([[0.25, 0.5], [1.5, 0], [0.5, -0.5]]), abs=1e-12)
-    assert forward == pytest.approx(np.array([[1, 0], [0, -1], [-1, 0]]), abs=1e-12)
-
-
-def test_marks_ride_with_the_belt() -> None:
-    start = belt_marks((0, 0), (1, 0), 0.1, travel=0.0)
-    later = belt_marks((0, 0), (1, 0), 0.1, travel=0.03)
-    assert later[0] - start[0] == pytest.approx(np.tile([0.03, 0.0], (3, 1)))
-    assert start[0] == pytest.approx(np.array([[0, 0.1], [0.015, 0.085], [0, 0.07]]))
-    around = belt_marks((0, 0), (1, 0), 0.1, travel=belt_length((0, 0), (1, 0), 0.1))
-    assert around == pytest.approx(start, abs=1e-9)
-    assert len(start) == 33  # 2.628 m of belt, a mark about every 0.08 m
 
 
 def test_a_scene_is_plain_data_that_another_process_can_draw(

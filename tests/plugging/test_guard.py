@@ -2,7 +2,6 @@
 
 import pickle
 import re
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +14,11 @@ from flipperctl.api import (
     AnyTerrain,
     Controller,
     Engine,
-    Network,
     ObservationLayout,
     Profile,
     Terrain,
     controller,
     engine,
-    network,
     terrain,
 )
 from flipperctl.config import EnvConfig, EvalConfig, resolver, with_overrides
@@ -120,16 +117,6 @@ def test_a_plugin_that_misbehaves_is_named(what: Misbehaviour, tmp_path: Path) -
     assert unnamed(what, text, file) == [], text
 
 
-@pytest.mark.parametrize("spot", BEFORE)
-@pytest.mark.parametrize("kind", ["sim", "perception", "terrain"])
-def test_a_plugin_that_cannot_be_described_is_named(kind: str, spot: str, tmp_path: Path) -> None:
-    what, file = Misbehaviour(kind, spot, "raise KeyError('seven')", 1), tmp_path / "odd_plugin.py"
-    file.write_text(what.source(tmp_path / "marker"))
-    done = call("inspect", "plugins", "odd", "--plugins", str(file), cwd=tmp_path)
-    assert done.code == 2
-    assert unnamed(what, done.err, file) == [], done.err
-
-
 def test_an_interrupt_stays_one(tmp_path: Path) -> None:
     what = Misbehaviour("terrain", "generate", "raise KeyboardInterrupt", 1)
     file = tmp_path / "odd_plugin.py"
@@ -207,32 +194,6 @@ def test_without_a_plugin_an_error_stays_as_it_is() -> None:
     with pytest.raises(ValueError, match="could not convert"), naming_plugins():
         float("x")
     assert attributed(KeyboardInterrupt()) is None
-
-
-def test_a_network_is_refused_by_its_name_whatever_form_its_methods_have() -> None:
-    @network("varied")
-    class Varied(Network):
-        @cached_property
-        def frames(self) -> int:
-            return [][3]
-
-        @staticmethod
-        def build(layout: ObservationLayout, n_actions: int) -> None:
-            raise KeyError("seven")
-
-    for method in ("frames", "build"):
-        with pytest.raises(ConfigError, match=rf"network 'varied': {method} raised .*\.py:\d+"):
-            build_network(resolver.create("network", "varied", "network"), ObservationLayout(), 9)
-        Varied.frames = 1
-
-
-def test_a_controller_may_be_derived_from_one_in_use() -> None:
-    okada = resolver.create("controller", "okada", "controller")
-
-    class Mine(type(okada)):  # a warning that its begin is deprecated would be an error here
-        """Another Okada."""
-
-    assert not Mine.searches_first
 
 
 def test_an_error_of_the_core_passes_through_a_plugin() -> None:

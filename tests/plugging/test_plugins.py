@@ -63,12 +63,6 @@ def test_files_folders_and_the_variable_give_plugins_and_nothing_else_does(
     assert resolver.create("terrain", "one", "terrain").generate(None).end == 0.6
 
 
-def test_a_script_may_import_a_built_in_before_the_plugins_are_loaded() -> None:
-    script = "import flipperctl_plugins; from flipperctl.plugging import plugins; plugins.load()"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.parametrize(
     ("name", "body", "text"),
     [

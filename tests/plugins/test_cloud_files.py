@@ -8,9 +8,8 @@ import pytest
 from pypcd4.pypcd4 import PointCloud
 from trimesh.util import concatenate
 
-from flipperctl.errors import TerrainError
 from tests.plugins.test_layers import terrain_of
-from tests.plugins.test_mesh import solid, write
+from tests.plugins.test_mesh import solid
 from tests.plugins.test_profile_file import write_cloud
 
 LINE = {"start": (0.0, 0.0), "end": (2.9, 0.0)}
@@ -64,18 +63,6 @@ def test_rays_without_return_are_left_out(suffix: str, tmp_path: Path) -> None:
     assert "300 points lie exactly at 1 0 0.75, as rays" in remarks
 
 
-@pytest.mark.parametrize(("rings", "digits"), [(16, 5), (5, 5), (64, 2)])
-def test_rays_without_return_at_each_place_of_a_sensor_are_left_out(
-    rings: int, digits: int, tmp_path: Path
-) -> None:
-    """The robot's motion was taken out of the cloud, so that each column has its own place."""
-    way = np.column_stack([np.linspace(-1, 1, 400), np.zeros(400), np.full(400, 0.55)])
-    points = np.vstack([np.repeat(way, rings, axis=0), strip(-1.5, 1.5, 0.0)]).round(digits)
-    found, remarks = heights(save(tmp_path / "deskewed.xyz", points), **AROUND)
-    assert found == (0.0, 0.0)
-    assert "as rays without return" in remarks
-
-
 RANDOM = np.random.default_rng(0).uniform((-1.5, -0.05, 0), (1.5, 0.05, 0.004), (2000, 3))
 
 
@@ -120,55 +107,6 @@ def test_a_cloud_in_a_csv_is_no_profile(
     assert heights(file) == ((0.0, 0.15), "")
 
 
-X = np.linspace(0.0, 3.0, 61)
-
-
-@pytest.mark.parametrize(
-    ("y", "fits"),
-    [
-        (np.full(61, 5.3), True),
-        (0.04 * (-1.0) ** np.arange(61), True),  # the noise of a position
-        (0.2 * X, True),  # 2 % longer than x
-        (X, False),  # a diagonal, whose slopes would be 1.4 times as steep
-    ],
-)
-def test_a_profile_may_have_a_column_y(y: np.ndarray, fits: bool, tmp_path: Path) -> None:
-    file = save(tmp_path / "path.csv", np.column_stack([X, y, 0.1 * X]))
-    if fits:
-        assert heights(file, start=None, end=None) == ((0.0, 0.3), "")
-        return
-    with pytest.raises(ValueError, match="its column y varies from 0 to 3: it is a point cloud, "):
-        heights(file, start=None, end=None)
-
-
-STEPS = np.vstack([strip(0, 1, 300.0, dx=0.01), strip(1, 3, 300.2, dx=0.01)])
-FAR = {"start": (400_000.0, 0.0), "end": (400_002.9, 0.0)}
-
-
-@pytest.mark.parametrize("suffix", ["pcd", "xyz", "stl"])
-def test_coordinates_that_are_rounded_far_from_the_origin_are_said(
-    suffix: str, tmp_path: Path
-) -> None:
-    far = at(STEPS, 400_000.0, 0.0, 0.0)
-    file = tmp_path / f"far.{suffix}"
-    if suffix == "stl":
-        ends = ((0, 0), (1, 0.1), (1.03, 0.2))
-        write(file, solid(*(((4e5 + x, -1, -1), (4e5 + 3.1, 1, z)) for x, z in ends)))
-    elif suffix == "xyz":
-        np.savetxt(file, far.astype(np.float32), fmt="%.6f")
-    else:
-        write_cloud(file, far)
-    assert (
-        "its coordinates are rounded (x to 0.0312 m), as half or single" in heights(file, **FAR)[1]
-    )
-    if suffix == "pcd":
-        PointCloud.from_points(far, ("x", "y", "z"), ("f8",) * 3).save(file)
-        assert heights(file, **FAR) == ((0.0, 0.2), "")
-        PointCloud.from_xyz_points(at(far, 5e6, 0, 0).astype(np.float32)).save(file)
-        with pytest.raises(ValueError, match=r"no height .* bridged .*rounded \(x to 0\.5 m\)"):
-            heights(file, start=(5.4e6, 0.0), end=(5_400_002.9, 0.0))
-
-
 def test_few_digits_are_said_and_a_grid_is_not(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     points = rng.uniform((0, -0.3, 0), (3, 0.3, 0.01), (4000, 3))
@@ -207,19 +145,6 @@ def test_the_pose_of_a_pcd_is_said_or_applied(
     assert found in (None, low_and_high)
     assert remarks.count("VIEWPOINT") == bool(text)
     assert text in remarks
-
-
-def test_a_pcd_may_have_fields_without_numbers(tmp_path: Path) -> None:
-    file = tmp_path / "empty.pcd"
-    write_cloud(file, GRID)
-    whole = heights(file)
-    header = (
-        b"z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1",
-        b"z n\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 0",
-    )
-    file.write_bytes(file.read_bytes().replace(*header))
-    assert b"COUNT 1 1 1 0" in file.read_bytes()
-    assert heights(file) == whole
 
 
 @pytest.mark.parametrize(
@@ -324,23 +249,3 @@ def test_a_ply_with_faces_is_a_mesh(encoding: str, coloured: bool, tmp_path: Pat
     terrain = terrain_of(file, **LINE)
     beside = terrain.generate(np.random.default_rng(0)).surface.heights(np.array([0.3]))
     assert beside.max() == pytest.approx(0.15)
-
-
-@pytest.mark.parametrize(
-    ("element", "text"),
-    [
-        ("face 0", "only 0 points lie"),  # a cloud
-        ("face 1", "all faces along the line .* look down"),
-        ("tristrips 1", "its triangle strips are not read; save it with faces"),
-    ],
-)
-def test_other_elements_of_a_ply_are_named(element: str, text: str, tmp_path: Path) -> None:
-    file = tmp_path / "quad.ply"
-    corners = "0 -1 0\n0 1 0\n3 1 0\n3 -1 0\n" + ("" if "0" in element else "4 0 1 2 3\n")
-    axes = "".join(f"property float {axis}\n" for axis in "xyz")
-    file.write_text(
-        f"ply\nformat ascii 1.0\nelement vertex 4\n{axes}element {element}\n"
-        f"property list uchar int vertex_indices\nend_header\n{corners}"
-    )
-    with pytest.raises((ValueError, TerrainError), match=text):
-        heights(file)

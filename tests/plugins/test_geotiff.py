@@ -171,12 +171,6 @@ def test_lengths_are_those_of_the_ground(
     assert beside[:, 0] == pytest.approx(beside[:, 1], abs=1e-6)
 
 
-def test_a_line_off_a_projected_map_is_refused(tmp_path: Path) -> None:
-    write(tmp_path / "a.tif", KERB, "EPSG:3857", (0, 3))
-    with pytest.raises(ValueError, match=r"1\.5\) lies outside the map, which covers x from"):
-        rise(tmp_path / "a.tif", x=1e15)  # PROJ does not return from there
-
-
 PICTURE = np.random.default_rng(0).integers(90, 160, (4, 30, 100)).astype(np.uint8)
 
 
@@ -201,21 +195,3 @@ def test_colours_are_no_heights(
     write(tmp_path / "photo.tif", bands, "EPSG:25832", (0, 3), **more)
     with pytest.raises(ValueError, match=f"band 1 is stated to be {colour}, as in a picture"):
         rise(tmp_path / "photo.tif", unit="mm")
-
-
-@pytest.mark.parametrize(
-    ("bands", "more", "remark"),
-    [
-        (KERB.astype(np.uint8), {}, None),
-        (KERB, {"photometric": "MINISBLACK"}, None),
-        (np.stack([KERB, KERB + 9]), {"alpha": "YES"}, None),
-        (np.stack([KERB, KERB + 9, KERB]), {}, "it has 3 bands; the first is taken for the heig"),
-    ],
-)
-def test_gray_bands_are_heights(
-    bands: np.ndarray, more: dict[str, Any], remark: str | None, tmp_path: Path
-) -> None:
-    write(tmp_path / "map.tif", bands, None, (0, 3), **more)
-    found, notices = rise(tmp_path / "map.tif")
-    assert found == float(bands.ravel()[99])
-    assert [remark in text for text in notices] == ([True] if remark else [])

@@ -1,6 +1,5 @@
 """Ground below ceilings and bridges, bodies in meshes, and what a recording's user is told."""
 
-import json
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +19,6 @@ from trimesh.util import concatenate
 
 from flipperctl.config import resolver
 from flipperctl.errors import TerrainError
-from tests.cli.call import call
 from tests.plugins.test_mesh import solid, without, write
 from tests.plugins.test_profile_file import LINE, assert_block, profile, scanned, write_cloud
 
@@ -111,23 +109,6 @@ def terrain_of(path: Path, **fields: Any) -> Any:
     return resolver.create("terrain", settings, "terrain")
 
 
-def test_layers_are_said_once_by_two_processes(tmp_path: Path) -> None:
-    write(tmp_path / "sheets.obj", concatenate([sheet(0, 4, 0), sheet(0, 4, 2.5)]))
-    asked = ["eval", "--controller", "level", "--episodes", "2", "--jobs", "2", "--json"]
-    asked += ["episode.run_out=0.2", "terrain=profile_file", "terrain.path=sheets.obj"]
-    done = call(*asked, "terrain.start=[1,2]", "terrain.end=[3,2]", cwd=tmp_path)
-    json.loads(done.out)
-    (found,) = (line for line in done.err.splitlines() if line.startswith("warning: "))
-    assert "sheets.obj: something lies 1 m or more above the ground at 101 of 101" in found
-    assert "the lowest layer is taken (terrain.highest=true takes the highest)" in found
-
-
-def test_a_large_extent_is_said(tmp_path: Path) -> None:
-    write(tmp_path / "mm.obj", sheet(0, 4000, 0))
-    (found,) = terrain_of(tmp_path / "mm.obj", **LINE).notices()
-    assert "mm.obj: it covers 4000 by 3 by 0 m, more than 1 km; terrain.unit=m is set" in found
-
-
 @pytest.mark.parametrize(
     ("rows", "text"),
     [
@@ -161,13 +142,6 @@ def test_a_slab_that_is_too_low_to_drive_below_is_said(tmp_path: Path) -> None:
     assert terrain_of(tmp_path / "slab.obj", highest=True, **LONG).notices()[1:] == ()
 
 
-def test_free_height_equal_to_the_headroom_is_enough(tmp_path: Path) -> None:
-    write(tmp_path / "slab.obj", solid(*SLAB))  # 0.7 m - 0.2 m, which floats make 0.49999…
-    found = profile(tmp_path / "slab.obj", headroom=0.5, **LONG)
-    assert found.height(6.0) == pytest.approx(0.2)
-    assert len(layer_of_points(np.array([0.2, 0.2, 0.7, 0.7]), Choice(0.5, False))[0]) == 2
-
-
 @pytest.mark.parametrize("ceiling", [sheet(0, 8, 2.5), solid(((0, 0, 2.5), (8, 3, 2.6)))])
 def test_a_small_hole_in_the_floor_below_a_ceiling_is_bridged(
     ceiling: Trimesh, tmp_path: Path
@@ -196,16 +170,6 @@ def test_a_narrow_wall_below_a_ceiling_is_no_hole(wall: Trimesh, tmp_path: Path)
     assert found.points[:, 1].max() >= 1.3
 
 
-def test_a_small_hole_in_a_cloud_of_a_room_is_bridged(tmp_path: Path) -> None:
-    floor = scanned()[:-2]
-    ceiling = floor * (1, 1, 0) + (0, 0, 9.5)
-    hole = np.abs(floor[:, 0] - 2.0) < 0.06
-    write_cloud(tmp_path / "room.xyz", np.vstack([floor[~hole], ceiling]))
-    found = profile(tmp_path / "room.xyz", **LINE)
-    assert_block(found, 0.02)
-    assert found.points[:, 1].max() < 0.31
-
-
 @pytest.mark.parametrize(
     ("value", "fields"), [(-9999, {}), (-32768, {}), (3.4028235e38, {}), (77.0, {"no_data": 77.0})]
 )
@@ -227,27 +191,6 @@ def test_missing_values_of_a_map_are_unknown_ground(
         profile(tmp_path / "map.npy", resolution=0.05, **LINE, **fields)
     wide = profile(tmp_path / "map.npy", resolution=0.05, largest_gap=0.4, **LINE, **fields)
     assert np.ptp(wide.points[:, 1]) == 0
-
-
-@pytest.mark.parametrize("value", [-9999.0, 77.0, np.nan])
-def test_missing_values_on_the_line_are_counted_where_they_are_bridged(
-    value: float, tmp_path: Path
-) -> None:
-    heights = np.zeros((61, 81))  # in cells of 5 cm; the line runs along row 40
-    heights[40:42, 38:40] = value
-    np.save(tmp_path / "map.npy", heights)
-    found = terrain_of(tmp_path / "map.npy", resolution=0.05, no_data=77.0, **LINE)
-    assert np.ptp(found.generate(np.random.default_rng(0)).points[:, 1]) == 0
-    # Between the known cells at 1.85 and 2.00 m lie the places from 1.86 to 1.98 m.
-    assert "heights are missing at 7 of 101 places along the line" in found.notices()[-1]
-
-
-def test_comments_and_gaps_of_a_csv_are_read(tmp_path: Path) -> None:
-    file = tmp_path / "kerb.csv"
-    file.write_text("# a kerb\n// by hand\nx,z\n0,0\n# here\n0.5,0\n0.6,nan\nnan,nan\n0.7,0.1\n")
-    assert profile(file).points == pytest.approx(np.array([(0, 0), (0.5, 0), (0.7, 0.1)]))
-    with pytest.raises(TerrainError, match=r"line 7: no height is known from x = 0\.5 to 0\.7"):
-        profile(file, largest_gap=0.1)
 
 
 def test_up_maps_the_axes_as_its_description_says(tmp_path: Path) -> None:
@@ -321,17 +264,3 @@ def test_a_body_between_sheets_is_ground(
     assert not any("not closed" in remark for remark in terrain.notices())
     beside = profile.surface.heights(np.array([-0.3, 0.2]))
     assert np.nanmax(beside) <= highest + 1e-6
-
-
-def test_a_wall_that_rounding_tilts_is_no_ceiling(tmp_path: Path) -> None:
-    # The line runs in a wall between a floor and a higher one; its face looks down by 1 µm.
-    wall = Trimesh(
-        [(0, 0, 0), (4, 0, 0), (4, -1e-6, 2), (0, -1e-6, 2)], [(0, 1, 2), (0, 2, 3)], process=False
-    )
-    file = tmp_path / "wall.obj"
-    for faces in (wall.faces, wall.faces[:, ::-1]):
-        tilted = Trimesh(wall.vertices, faces, process=False)
-        write(file, concatenate([tiled(0), tilted, tiled(2), tiled(6)]))
-        terrain = terrain_of(file, **ALONG)
-        assert np.ptp(terrain.generate(np.random.default_rng(0)).points[:, 1]) == 0
-        assert len(terrain.notices()) == 1

@@ -10,7 +10,6 @@ from trimesh import Trimesh
 from trimesh.creation import box
 from trimesh.util import concatenate
 
-from flipperctl.config import resolver
 from flipperctl.errors import TerrainError
 from tests.plugins.test_profile_file import LINE, assert_block, profile
 
@@ -97,17 +96,6 @@ def test_a_stated_axis_and_unit_prevail_over_those_of_a_dae(up: str, tmp_path: P
         profile(file, unit="in", **LINE)
 
 
-def test_a_mesh_that_a_dae_may_lay_on_its_side_is_said(tmp_path: Path) -> None:
-    line = {"start": (6.2, 1.0), "end": (6.8, 1.0)}  # along the file's z
-    for up, remarks in (("Y_UP", 1), ("Z_UP", 0)):
-        write(tmp_path / "block.dae", block(), 1.0, up)
-        settings = {"name": "profile_file", "path": str(tmp_path / "block.dae")}
-        settings |= line if up == "Y_UP" else LINE
-        found = resolver.create("terrain", settings, "terrain").notices()
-        assert len(found) == remarks
-        assert all("it is 3.00 m high and 1.30 by 4.00 m in plan with Y_UP" in one for one in found)
-
-
 MATERIAL = """<bind_material><technique_common><instance_material symbol="m" target="#{}"/>
 </technique_common></bind_material>"""
 LOOKS = {
@@ -149,19 +137,6 @@ def test_faces_of_a_dae_are_read_whatever_they_look_like(look: str, tmp_path: Pa
     assert_block(profile(file, **LINE), 0.02)
 
 
-def test_faces_of_a_dae_may_be_polygons_with_indices_of_more_than_corners(tmp_path: Path) -> None:
-    file, mesh = tmp_path / "block.dae", block()
-    write(file, mesh)
-    before, _, rest = file.read_text().partition("<triangles")
-    indices = " ".join(f"7 {corner}" for corner in np.asarray(mesh.faces).ravel().tolist())
-    polygons = f"""<polylist count="{len(mesh.faces)}">
-<input semantic="TEXCOORD" source="#gone" offset="0"/>
-<input semantic="VERTEX" source="#v" offset="1"/><vcount>{"3 " * len(mesh.faces)}</vcount>
-<p>{indices}</p></polylist>"""
-    file.write_text(before + polygons + rest.partition("</triangles>")[2])
-    assert_block(profile(file, **LINE), 0.02)
-
-
 def test_a_dae_is_read_by_the_names_of_its_coordinates_and_by_the_places_of_its_parts(
     tmp_path: Path,
 ) -> None:
@@ -176,20 +151,6 @@ def test_a_dae_is_read_by_the_names_of_its_coordinates_and_by_the_places_of_its_
     )
     corners = [[(4, 0, 14), (1, 0, 14), (4, 4, 14)]]
     assert read_dae(file).corners == pytest.approx(np.array(corners), abs=1e-9)
-
-
-def test_strips_and_fans_of_a_dae_are_cut_into_triangles(tmp_path: Path) -> None:
-    file, square = tmp_path / "square.dae", [(0, 0, 7), (1, 0, 7), (0, 1, 7), (1, 1, 7), (0, 2, 7)]
-    for name, faces in (
-        ("tristrips", [(0, 1, 2), (1, 3, 2), (2, 3, 4)]),
-        ("trifans", [(0, 1, 2), (0, 2, 3), (0, 3, 4)]),
-        ("polygons", [(0, 1, 2), (0, 2, 3), (0, 3, 4)]),
-    ):
-        write(file, Trimesh(square, [(0, 1, 2)], process=False))
-        text = file.read_text().replace("<p>0 1 2<", "<p>0 1 2 3 4</p><p>0 1 2<")
-        file.write_text(text.replace("triangles", name))
-        expected = np.array(square, dtype=float)[[*faces, (0, 1, 2)]]
-        assert read_dae(file).corners == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

@@ -69,19 +69,6 @@ def test_a_large_csv_is_read_equally_and_its_fault_is_named(tmp_path: Path) -> N
         profile(file)
 
 
-def test_a_large_csv_with_decimal_commas_or_missing_heights_names_its_line(tmp_path: Path) -> None:
-    file = tmp_path / "large.csv"
-    lines = [f"{0.5 * i:.1f},{0.01 * (i % 7):.2f}\n" for i in range(110_000)]
-    file.write_text("x,z\n" + "".join(lines).replace(".", ","))
-    assert file.stat().st_size > 1 << 20
-    with pytest.raises(TerrainError, match="line 2: it has 4 values for 2 columns"):
-        profile(file, unit="mm")
-    lines[400] = "\n\n200.0,-9999\n"
-    file.write_text("x,z\n" + "".join(lines))
-    with pytest.raises(TerrainError, match=r"line 404: no height is known from x = 199\.5"):
-        profile(file, unit="mm", largest_gap=0.0)
-
-
 @pytest.mark.parametrize("rows", ["+y", "-y"])
 def test_a_height_map_is_sampled_along_a_line(rows: str, tmp_path: Path) -> None:
     file = tmp_path / "map.npy"
@@ -93,26 +80,6 @@ def test_a_height_map_is_sampled_along_a_line(rows: str, tmp_path: Path) -> None
     other = {"start": (1.0, -y), "end": (3.0, -y)}
     with pytest.raises(TerrainError, match=r"\(1\.0, .*\) lies outside the map.* to 4\.00 m"):
         profile(file, resolution=0.05, rows=rows, **other)
-
-
-@pytest.mark.parametrize(
-    ("kind", "unit", "step"),
-    [(np.float16, "m", "0.25 m"), (np.int16, "m", "1 m"), (np.int16, "dm", "0.1 m"),
-     (np.float32, "m", ""), (np.int32, "mm", "")],
-)  # fmt: skip
-def test_heights_that_the_format_of_a_map_rounds_are_said(
-    kind: type, unit: str, step: str, tmp_path: Path
-) -> None:
-    """Stairs of 0.17 m, 300 m above the sea."""
-    stairs = 300 + 0.17 * (np.arange(150) // 12)
-    metre = {"m": 1, "dm": 10, "mm": 1000}[unit]
-    np.save(tmp_path / "map.npy", np.tile(stairs * metre, (60, 1)).astype(kind))
-    fields = {"resolution": 0.02, "start": (0.1, 0.6), "end": (2.9, 0.6), "unit": unit}
-    settings = {"name": "profile_file", "path": str(tmp_path / "map.npy"), **fields}
-    notices = "\n".join(resolver.create("terrain", settings, "terrain").notices())
-    expected = f"heights against their format: {step}" if step else ""
-    assert expected in notices
-    assert step or "format" not in notices
 
 
 def test_heights_between_cells_are_bilinear(tmp_path: Path) -> None:
@@ -318,13 +285,6 @@ def test_a_header_that_claims_too_much_is_refused_before_memory_is_taken(
     assert str(file) in str(caught.value)
 
 
-def test_a_point_of_too_many_numbers_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "scan.pcd"
-    file.write_text(_PCD.format(points=0, data="ascii", count="1 1 1099511627776"))
-    with pytest.raises(TerrainError, match="1000 are allowed"):
-        profile(file, **LINE)
-
-
 @pytest.mark.parametrize("suffix", ["pcd", "ply"])
 def test_a_cloud_with_fewer_points_than_its_header_claims_is_refused(
     suffix: str, tmp_path: Path
@@ -359,45 +319,7 @@ def test_of_a_large_map_only_the_cells_around_the_line_are_read(tmp_path: Path) 
         profile(file, start=(5.0, 5.0), end=(5000.0, 5000.0), spacing=0.5)
 
 
-def test_a_folder_and_too_long_a_name_are_refused(tmp_path: Path) -> None:
-    folder = tmp_path / "ground.csv"
-    folder.mkdir()
-    with pytest.raises(TerrainError, match=r"ground\.csv: Is a directory"):
-        profile(folder)
-    with pytest.raises(TerrainError, match="File name too long"):
-        profile(Path("x" * 300 + ".csv"))
-
-
 ALONG = np.round(np.arange(0, 3, 0.05), 3)
-ACROSS = [-0.5, -0.2, 0.1, 0.4]
-
-
-def gridded(header: str, across: list[float], *, snakes: bool = False) -> str:
-    """Return a ground that leans to its side, with a step, as lines of x, y and z."""
-    rows = [
-        (x, y, 0.15 * (x > 1.5) + 0.3 * y)
-        for at, x in enumerate(ALONG)
-        for y in (across[::-1] if snakes and at % 2 else across)
-    ]
-    columns = [("xyz".index({"x": "x", "z": "z"}.get(name, "y"))) for name in header.split(",")]
-    return "\n".join([header, *(",".join(f"{row[at]:.3f}" for at in columns) for row in rows)])
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        gridded("x,lateral,z", ACROSS),
-        gridded("x,lateral,z", ACROSS, snakes=True),
-        gridded("Row,x,z", ACROSS[:2]),
-        gridded("z,x", ACROSS),
-        gridded("x,z,q,q", ACROSS),
-        "x,z\n" + "".join(f"{x},{z}\n" for x in (0, 1, 2) for z in (0.0, 0.3, 0.1)),
-    ],
-)
-def test_several_heights_at_a_place_are_no_profile(text: str, tmp_path: Path) -> None:
-    (tmp_path / "cloud.csv").write_text(text)
-    with pytest.raises(TerrainError, match=r"line 2: at x = 0 it has heights from .* point cloud"):
-        profile(tmp_path / "cloud.csv", thickness=0.05)
 
 
 @pytest.mark.parametrize(
@@ -418,9 +340,3 @@ def test_vertical_faces_are_a_profile(points: list[tuple[float, float]], tmp_pat
     lines = "".join(f"{x},{z}\n" for x, z in points)
     (tmp_path / "faces.csv").write_text("x,z\n" + lines)
     assert profile(tmp_path / "faces.csv").points == pytest.approx(np.array(points))
-
-
-def test_a_ply_without_vertices_says_so(tmp_path: Path) -> None:
-    (tmp_path / "empty.ply").write_text("ply\nformat ascii 1.0\nend_header\n")
-    with pytest.raises(TerrainError, match="its header states no vertices"):
-        profile(tmp_path / "empty.ply", **LINE)

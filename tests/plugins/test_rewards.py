@@ -20,7 +20,6 @@ from flipperctl.api import (
     registry,
 )
 from flipperctl.config import resolver
-from flipperctl.errors import ConfigError
 from flipperctl.testing.recorded import transitions_in_arrays
 
 ROBOT = RobotGeometry()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m
@@ -147,33 +146,6 @@ def test_the_front_flippers_pay_for_leaving_the_candidate(
 ) -> None:
     paid = term("flipper", lambda_1=lambda_1)(decision(state(front=front)))
     assert paid == pytest.approx(value, abs=1e-5)
-
-
-def test_the_terrain_that_flippers_are_compared_with_has_a_length() -> None:
-    with pytest.raises(ConfigError, match=r"near=0.5 must be below far=0.45"):
-        term("flipper", near=0.5)
-
-
-def test_the_candidate_comes_from_the_true_terrain_in_front() -> None:
-    # Up from the corner at (0, 0.2) on, 0.4 m ahead of the hinge at x = -0.4, z = 0.1: the angle is
-    # atan2(0.1, 0.4) + asin(0.1 / 0.41231) = 0.24498 + 0.24498 = 0.48996, and the face and the
-    # ground before it are lower. Level flippers are off by 0.48996 - 0.08727 = 0.40269.
-    step = Profile([(0.0, 0.0), (0.0, 0.2)])
-    at = state(x=-0.68)
-    narrow = {"lambda_1": 1.0, "near": 0.38, "far": 0.41}
-    assert term("flipper", **narrow)(decision(at, profile=step)) == pytest.approx(
-        -0.40269, abs=1e-4
-    )
-    right = replace(at, front=0.48996)
-    assert term("flipper", **narrow)(decision(right, profile=step)) == 0.0
-
-
-def test_the_candidate_is_in_the_frame_of_the_pitched_chassis() -> None:
-    # Nose up by 0.1 over level ground, with the hinge as high above it as the radius: the ground
-    # lies 0.1 below level in frame R. The centre is 0.28 sin(0.1) lower than the hinge.
-    lifted = state(front=0.0, z=0.1 - 0.28 * math.sin(0.1))
-    paid = term("flipper", lambda_1=1.0)(decision(lifted, pitches=(0.1, 0.1)))
-    assert paid == pytest.approx(-(0.1 - math.pi / 36), abs=1e-6)
 
 
 def brute_force(profile: Profile, at: RobotState) -> float:

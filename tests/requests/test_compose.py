@@ -89,22 +89,6 @@ def test_a_mapping_of_sampled_settings_has_no_effect() -> None:
         compose_train(["terrain=flat", "conditions=varied", "sim={friction:0.7,gravity:9}"])
 
 
-def test_several_loggers_and_their_settings_are_chosen_by_name() -> None:
-    chosen = {
-        "": ["tensorboard"],
-        "logger=csv": [],
-        "logger=[]": [],
-        "~logger": [],
-        "logger=[tensorboard,wandb]": ["tensorboard", "wandb"],
-        "+logger@logger.second=wandb": ["tensorboard", "second"],
-    }
-    for override, names in chosen.items():
-        (config,) = compose_train([override] if override else [])
-        assert list(config.logger) == names
-    (config,) = compose_train(["logger=wandb", "logger.wandb.project=stairs"])
-    assert to_dict(config)["logger"]["wandb"]["project"] == "stairs"
-
-
 def test_the_taught_experiment_takes_any_teacher() -> None:
     (own,) = compose_train(["experiment=taught"])
     assert to_dict(own.teacher.controller) == {**MPC, "beam": 4, "horizon": 8, "of_each": 1}

@@ -8,10 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-import typer
 from rich.cells import cell_len
 
-from flipperctl.cli.main import main, run_app
+from flipperctl.cli.main import main
 from flipperctl.process import entry
 from flipperctl.text.show import console
 
@@ -64,16 +63,6 @@ def test_what_the_system_refuses_is_one_line(capsys: pytest.CaptureFixture[str])
         "error: some.csv: Too many open files",
         "error: there is not enough memory: Unable to allocate 745. GiB",
     ]
-
-
-def test_a_truncated_file_is_no_interruption() -> None:
-    def read() -> None:
-        raise EOFError("a plugin's file is cut off")
-
-    app = typer.Typer()
-    app.command()(read)
-    with pytest.raises(EOFError, match="cut off"):
-        run_app(app, [], "reader")
 
 
 FLAT = ("eval", "--controller", "level", "--episodes", "1", "terrain=flat")

@@ -1,6 +1,5 @@
 """The faults that the conformance suite finds in engines, sensors, networks and controllers."""
 
-import functools
 import json
 import runpy
 from collections.abc import Callable
@@ -16,7 +15,6 @@ from flipperctl import api
 from flipperctl.api import Controller, Network, Profile
 from flipperctl.core.sensing import SensedAngles, SensedGround
 from flipperctl.testing import checks, policies
-from flipperctl.testing.sensor import foreign_names
 from tests.testing.failing import failure
 
 KINEMATIC = Path(__file__).parents[2] / "examples" / "kinematic.py"
@@ -165,32 +163,6 @@ def test_a_sensor_that_fails_is_described(
 ) -> None:
     text = failure(sensing(instrument, estimator), check)
     assert [word for word in words if word not in text] == [], text
-
-
-@functools.cache
-def cached_layout() -> object:
-    return api.ObservationLayout()
-
-
-class Caching:
-    """Parts that wrap their functions, each of which needs more than numpy."""
-
-    @functools.cached_property
-    def held(self) -> object:
-        return api.ObservationLayout()
-
-    part = functools.partialmethod(lambda self: api.ObservationLayout())
-
-
-class Calling:
-    def act(self) -> object:
-        return cached_layout()
-
-
-@pytest.mark.parametrize("wrapped", [Caching.held, vars(Caching)["part"], Calling.act])
-def test_what_a_cache_or_a_partial_wraps_is_looked_into(wrapped: object) -> None:
-    cls = type("Estimator", (), {"held": wrapped, "__module__": __name__})
-    assert "flipperctl.api" in foreign_names(cls)
 
 
 SIZE = api.ObservationLayout().size

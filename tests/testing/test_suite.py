@@ -3,7 +3,6 @@
 import math
 import random
 import unittest
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
@@ -176,24 +175,6 @@ def rewarding(pay: Callable[[api.Transition], object]) -> type[RewardTerm]:
             return pay(t)
 
     return Mine
-
-
-@pytest.mark.usefixtures("registry")
-def test_the_smallest_float_is_no_warning() -> None:
-    @api.reward("scaled")
-    class Scaled(RewardTerm):
-        """A reward that is divided by a setting."""
-
-        bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-        worst: float = Field(1.0, gt=0, le=10, description="worst pitch [rad]")
-
-        def __call__(self, t: api.Transition) -> float:
-            return -float(np.clip(np.abs(np.float64(t.after.pitch)) / self.worst, 0, 1))
-
-    (bounded,) = (c for c in checks(Scaled) if c.name == "bounded")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        bounded()
 
 
 calls: list[int] = []

@@ -111,10 +111,3 @@ def flipperctl_train(folder: Path) -> Path:
     """The run directory of a training by the Python interface."""
     with contextlib.chdir(folder):
         return train(overrides=QUICK, progress=False).directory
-
-
-def test_hydras_own_setting_makes_several_runs(tmp_path: Path) -> None:
-    words = [*QUICK, "hydra.mode=MULTIRUN", "network=glob(at*)", "hydra.sweep.dir=sweep"]
-    done = call("train", *words, cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert (tmp_path / "sweep" / "0_network=at_d3qn" / "summary.json").exists()

@@ -222,17 +222,6 @@ def test_the_command_refuses_them(tmp_path: Path) -> None:
     assert "rewards.swing.weight: a search by returns" in error
 
 
-def test_values_have_the_types_that_hydra_gives_them() -> None:
-    given = ["train.decisions=500", "device='cuda:0'", "batch_sizes=[1,2]", "x=1e-3", "y=null"]
-    assert from_words(given).values() == {
-        "train.decisions": 500,
-        "device": "cuda:0",
-        "batch_sizes": [1, 2],
-        "x": 1e-3,
-        "y": None,
-    }
-
-
 @pytest.mark.parametrize(
     "override", ["seed=1,2", "+seed=1", "++seed=1", "~seed", "x=interval(0,1)"]
 )
