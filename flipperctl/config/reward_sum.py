@@ -154,25 +154,15 @@ class _Term:
 
     def _value_error(self, value: float, t: Transition, method: str) -> FlipperctlError:
         """Return the exception for a value that is not finite, too large or out of its bounds."""
-        term, weight, part = self.term, f"{self.term.weight:g}", self.weight * value
-        kind: type[FlipperctlError] = PluginFailedError
-        at = f"at time {t.after.time:.2f} s"
-        if not math.isfinite(part):
-            weighted = "" if not math.isfinite(value) else f", times its weight {weight},"
-            kind, text = NonFiniteError, f"{value}{weighted} {at}; a finite number is allowed"
-        elif abs(part) > _LARGEST:
-            text = (
-                f"{value:g}, times its weight {weight}, {at}; at most {_LARGEST:g} is allowed, "
-                "since the learner sums in single precision"
-            )
-        else:
-            low, high = term.bounds
-            text = f"{value:g} {at}; its bounds say {low:g} to {high:g}"
-        name = f"{type(term).__module__}.{type(term).__qualname__}"
-        return kind(
-            f"rewards.{self.name}: the term {term.plugin_name!r} ({name}): {method} returned "
-            f"{text} ({definition(term, method)})"
+        low, high = self.term.bounds
+        weighted = self.weight * value
+        text = (
+            f"returned {value:g} at time {t.after.time:.2f} s as rewards.{self.name}, "
+            f"{weighted:g} when weighted; a finite number from {low:g} to {high:g} is allowed, and "
+            f"at most {_LARGEST:g} when weighted"
         )
+        kind = PluginFailedError if math.isfinite(weighted) else NonFiniteError
+        return refusal(self.term, method, text, kind)
 
 
 def _undeclared(

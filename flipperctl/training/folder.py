@@ -20,6 +20,7 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
+from flipperctl.checkpoint import former
 from flipperctl.checkpoint.results import (
     CONFIG,
     HYDRA,
@@ -109,7 +110,7 @@ def _parsed(file: Path, document: object) -> TrainConfig:
     """Return the configuration that a ``config.yaml`` states."""
     try:
         if isinstance(document, dict):
-            return parse(TrainConfig, document)
+            return parse(TrainConfig, former.current(document))
         raise ConfigError("it is not a mapping")
     except ConfigError as error:
         raise CheckpointError(f"{file}: its configuration does not fit: {error}") from error
