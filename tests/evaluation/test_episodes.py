@@ -80,7 +80,7 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
         started.append(self)
 
     monkeypatch.setattr(WorkerPool, "__init__", remembered)
-    config = EnvConfig(terrain="stair")
+    config = EnvConfig(terrain="step")
 
     @contextmanager
     def killing(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
@@ -92,8 +92,8 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
         yield report
 
     player = Player(progress=killing)
-    found = play_episodes(config, OKADA, episodes=12, seed=3, player=player, jobs=2)
-    assert found == play_episodes(config, OKADA, episodes=12, seed=3)
+    found = play_episodes(config, OKADA, episodes=6, seed=3, player=player, jobs=2)
+    assert found == play_episodes(config, OKADA, episodes=6, seed=3)
     assert "a worker died and is replaced; episode" in caplog.text
 
 
@@ -130,7 +130,7 @@ def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
 
 
 def test_recorded_episodes_are_those_of_the_evaluation() -> None:
-    config = EnvConfig(terrain="step")
+    config = EnvConfig(terrain="step", episode={"run_up": 0.8, "run_out": 0.2})
     source = PolicySource(settings={"name": "mpc", "beam": 2, "horizon": 2})
     plain = play_episodes(config, source, episodes=2, seed=3)
     found = play_episodes(config, source, episodes=2, seed=3, jobs=2, record=True)

@@ -166,7 +166,11 @@ def test_a_cost_that_is_not_finite_names_the_controller() -> None:
 
 
 def test_value_iteration_follows_the_episode_whoever_asks_for_its_costs() -> None:
-    config = EnvConfig(terrain="step", rewards={"pitch": "pitch", "end": "end"})
+    config = EnvConfig(
+        terrain={"name": "step", "platform": 0.3},
+        episode={"run_up": 0.8, "run_out": 0.2},
+        rewards={"pitch": "pitch", "end": "end"},
+    )
     found = resolver.create("controller", "value_iteration", "controller")
     assert isinstance(found, Controller)
     own = controller_policy(found, config)

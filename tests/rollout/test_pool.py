@@ -4,7 +4,6 @@ Worker processes import what this process has imported, and leave it as it was.
 """
 
 import errno
-import importlib
 import itertools
 import os
 import signal
@@ -23,6 +22,7 @@ from flipperctl.errors import FlipperctlError
 from flipperctl.rollout import pool as children
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool, python_environment
 from flipperctl.training.trainer import Trainer
+from tests.rollout.calls import die, die_first, fail, initialize, mask, touch, wait_for
 from tests.rollout.notes import Notes, process_ids
 from tests.short import short_config, trainer
 
@@ -55,43 +55,6 @@ def workers() -> Iterator[WorkerPool]:
     """Two workers."""
     with closing(WorkerPool(2, initialize, ())) as pool:
         yield pool
-
-
-def initialize(module: str = "torch") -> None:
-    importlib.import_module(module)
-
-
-def die() -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def die_first(died: Path) -> None:
-    if not died.exists():
-        died.touch()
-        die()
-
-
-def fail(error: BaseException) -> None:
-    raise error
-
-
-def wait_for(path: Path, limit: float = 20.0) -> bool:
-    end = time.monotonic() + limit
-    while not path.exists() and time.monotonic() < end:
-        time.sleep(0.01)
-    return path.exists()
-
-
-def touch(path: Path) -> None:
-    path.touch()
-
-
-def places(names: tuple[str, ...]) -> list[str | None]:
-    return [getattr(importlib.import_module(name), "__file__", None) for name in names]
-
-
-def mask() -> set[int]:
-    return {int(number) for number in signal.pthread_sigmask(signal.SIG_BLOCK, ())}
 
 
 def asked(count: int, function: Any, *arguments: Any, first: Any = ()) -> Any:
@@ -179,7 +142,7 @@ def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
 @both
 def test_what_stops_a_whole_group_of_processes_leaves_the_workers_at_work(count: int) -> None:
     """Ctrl-C and a scheduler's SIGTERM reach every process; the learner stops its workers."""
-    with closing(WorkerPool(count, initialize, ())) as workers:
+    with closing(WorkerPool(count, initialize, ("torch",))) as workers:
         call = workers.submit(abs, -1)
         while not process_ids(workers):
             time.sleep(0.001)

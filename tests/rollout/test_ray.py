@@ -82,6 +82,7 @@ def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     assert (resumed.summary["decisions"], resumed.summary["lost_episodes"]) == (more, 0)
 
 
+@pytest.mark.long
 def test_searched_values_come_with_the_episodes(cluster: Any, tmp_path: Path) -> None:
     collector = {"name": "ray", "address": cluster.address, "workers": 1}
     run = trainer(with_overrides(tiny(12, "fast"), {"collector": collector}), tmp_path)

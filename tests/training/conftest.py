@@ -7,6 +7,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Listener
+from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import TrainConfig
 from flipperctl.training.episodes import EPISODES
 from tests.short import few, trainer
@@ -75,11 +76,16 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return run
 
 
-def require_resumes(config: TrainConfig, whole: Path, parts: Path, at: int) -> None:
-    """Train with a stop after ``at`` decisions; require the files of the whole run."""
+def require_resumes(config: TrainConfig, whole: Path, parts: Path, at: int) -> Checkpoint:
+    """Train with a stop after ``at`` decisions; require the files of the whole run.
+
+    Return the checkpoint of the stop.
+    """
     first = trainer(config, parts)
     assert first.run(stop=lambda: first.progress.decision >= at)["finished"] is False
+    stopped = checkpoint.read(parts / checkpoint.LAST)
     require_same_end(whole, parts)
+    return stopped
 
 
 def require_same_end(whole: Path, parts: Path, *listeners: Listener) -> None:

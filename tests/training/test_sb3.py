@@ -42,7 +42,7 @@ def config_of(algorithm: str, actions: str, **more: object) -> TrainConfig:
     agent = {"name": "sb3", "algorithm": algorithm, "settings": METHODS[algorithm, actions]}
     network = {"name": "mlp", "hidden": [24, 16]}
     own = {"agent": agent, "actions": actions, "network": network}
-    return few(**{**own, "train.decisions": 250, **more})
+    return few(**{**own, "train.decisions": 150, **more})
 
 
 def train(config: TrainConfig, folder: Path, stop: int | None = None) -> Trainer:
@@ -97,7 +97,7 @@ def test_a_stopped_run_goes_on_with_weights_moments_and_replay(
     assert not any(name.endswith(".pkl") for name in map(str, tmp_path.rglob("*")))
     resumed = Trainer(config, tmp_path)
     resumed.restore(saved)
-    assert resumed.progress.decision == stopped.progress.decision < 250
+    assert resumed.progress.decision == stopped.progress.decision < 150
     first, second = learning_of(stopped), learning_of(resumed)
     before, after = first._held(), second._held()
     assert before.keys() == after.keys()
@@ -106,10 +106,10 @@ def test_a_stopped_run_goes_on_with_weights_moments_and_replay(
     assert kept is not None
     assert found is not None
     assert len(found["reward"]) == min(
-        stopped.progress.decision, 100 if algorithm == "ddpg" else 250
+        stopped.progress.decision, 100 if algorithm == "ddpg" else 150
     )
     assert all(torch.equal(kept[name], found[name]) for name in kept)
-    assert resumed.run()["decisions"] == 250
+    assert resumed.run()["decisions"] == 150
     more = with_overrides(config, {"network.hidden": [16, 16]})
     with pytest.raises(CheckpointError, match="its state is not valid"):
         Trainer(more, tmp_path).restore(saved)

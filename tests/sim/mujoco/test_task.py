@@ -85,7 +85,7 @@ def test_an_unknown_drawing_library_is_one_error() -> None:
     assert "Traceback" not in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_policy_is_trained_in_3d_and_evaluated_in_the_plane(tmp_path: Path) -> None:
     settings = [f"{key}={value}" for key, value in EXACT.items()]
     run = ["terrain=step", "sim=mujoco", "hydra.run.dir=run", *settings]
