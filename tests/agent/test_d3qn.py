@@ -165,15 +165,6 @@ def test_transitions_with_large_errors_are_learnt_first_with_lower_weights() -> 
     assert moved[surprising].mean() > moved[~surprising].mean()
 
 
-@pytest.mark.parametrize("network", ["at_d3qn", "quantile"])
-def test_candidates_are_chosen_for_every_kind_of_values(network: str) -> None:
-    agent = learner(network, candidates=2, batch_size=32, updates_together=2)
-    before = weights(agent)
-    agent.update(fixed_batch(128), 0.0)
-    assert agent.optimiser.steps == 2
-    assert any(not torch.equal(p, before[n]) for n, p in agent.online.named_parameters())
-
-
 def test_with_a_teacher_no_transition_is_preferred() -> None:
     assert learner("mlp", candidates=4).candidates == 4
     assert learner("mlp", teacher=Teacher(controller="okada"), candidates=4).candidates == 1
@@ -224,20 +215,6 @@ def test_a_loss_that_is_not_finite_is_an_error(candidates: int) -> None:
     batch.reward[3] = torch.inf
     with pytest.raises(NonFiniteError, match="loss is inf"):
         learner(candidates=candidates).update(batch, 0.0)
-
-
-def test_quantiles_are_learnt_from_a_fixed_batch() -> None:
-    agent, batch = learner("quantile", reward_scale=1.0, target_rate=1e-6), fixed_batch()
-    before = agent.online(batch.observation).detach()
-    batch = dataclasses.replace(batch, discount=torch.zeros(64))
-    for _ in range(100):
-        agent.update(batch, 0.0)
-    rows, after = torch.arange(64), agent.online(batch.observation).detach()
-
-    def off(values: torch.Tensor) -> float:
-        return float((values[rows, batch.action] - batch.reward).abs().mean())
-
-    assert off(after) < off(before) / 3
 
 
 def test_noise_explores_without_epsilon_and_is_off_in_a_validation() -> None:

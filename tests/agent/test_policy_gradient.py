@@ -117,7 +117,7 @@ def test_the_divergence_is_that_of_kullback_and_leibler() -> None:
 
 
 def test_what_pays_becomes_probable() -> None:
-    _, found = trained(30, learning_rate=0.003, divergence=0.1)
+    _, found = trained(15, learning_rate=0.006, divergence=0.1)
     assert found[0] < 0.2
     assert found[-1] > 0.8
 
@@ -139,7 +139,7 @@ def test_a_lower_temperature_leads_the_same_values_to_other_probabilities() -> N
 
 def test_an_anchor_keeps_the_policy_near_its_start() -> None:
     settings = {"divergence": 0.1, "anchor": 10.0}
-    _, found = trained(30, learning_rate=0.003, **settings)
+    _, found = trained(15, learning_rate=0.006, **settings)
     assert found[-1] < found[0] + 0.1
 
 

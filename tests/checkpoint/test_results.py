@@ -15,7 +15,8 @@ from flipperctl.text import files
 from flipperctl.views import run as evaluation
 from tests.cli.call import Done, call
 
-PLAY = ["eval", "--controller", "level", "--episodes", "2", "--output", "out"]
+SHORT = ["episode.run_up=0.8", "episode.run_out=0.2"]
+PLAY = ["eval", "--controller", "level", *SHORT, "--episodes", "1", "--output", "out"]
 TABLES = {"episodes.csv", "summary.json", "table.csv", "table.tex", "traces.npz", "report.html"}
 CELLS = {"cells", "cells.csv"}
 """The episodes themselves, which no later evaluation removes."""

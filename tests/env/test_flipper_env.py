@@ -298,13 +298,6 @@ def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
         env.step(HOLD)
 
 
-def test_an_unknown_render_mode_is_refused() -> None:
-    with pytest.raises(ConfigError, match="no mode 'nonsense'; None or 'rgb_array' is allowed"):
-        FlipperEnv("flat", render_mode="nonsense")
-    with pytest.raises(ConfigError, match="did you mean 'rgb_array'"):
-        FlipperEnv("flat", render_mode="rgbarray")
-
-
 def test_no_rewards_at_all_are_asked_for_by_an_empty_mapping() -> None:
     env = FlipperEnv("flat", rewards={})
     env.reset(seed=0)
@@ -322,15 +315,11 @@ def test_no_rewards_at_all_are_asked_for_by_an_empty_mapping() -> None:
     ("generate", "text"),
     [
         (lambda: Profile([(0.0, 0.0), (1.0, 0.0), (0.5, 0.2)]), "x decreases from 1 to 0.5 m"),
-        (lambda: Profile([]), "empty"),
         (lambda: Profile([(0.0, 0.0), (1.0, math.nan)]), "point 1 is not finite"),
         (lambda: [(0.0, 0.0), (1.0, 0.0)], "must return a Profile; it returned a list"),
-        (lambda: None, "must return a Profile; it returned a NoneType"),
-        (lambda: Profile([(0, 0)], drawn=["steps"]), "are ['steps']; a mapping"),
-        (lambda: Profile([(0, 0)], drawn={"a b": 1}), "have 'a b': 1; words"),
         (lambda: Profile([(0, 0)], drawn={"n": math.inf}), "have 'n': inf; words with finite"),
     ],
-    ids=["x decreases", "empty", "not finite", "list", "None", "drawn", "name", "infinite"],
+    ids=["x decreases", "not finite", "list", "drawn"],
 )
 def test_a_broken_terrain_is_named(generate: Callable[[], Any], text: str, registry: dict) -> None:
     @terrain("broken")

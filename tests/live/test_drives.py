@@ -3,7 +3,6 @@
 import math
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -217,8 +216,6 @@ def test_a_study_balances_its_blocks_and_goes_on_where_it_stopped(tmp_path: Path
     ("text", "error"),
     [
         ("scenes: [", "no YAML"),
-        ("people: [anna]", "scenes"),
-        (STUDY + "repeat: 3", "repeat"),
         (STUDY.replace("repeats: 2", "repeats: 0"), "repeats"),
         (STUDY.replace("ben", "bea"), "no such person; anna, bea, cleo, dan are allowed"),
         (STUDY.replace("dan", "anna"), "people: 'anna' is named twice"),
@@ -231,43 +228,21 @@ def test_a_wrong_study_is_one_error(text: str, error: str, tmp_path: Path) -> No
         read_study(file, "ben")
 
 
-def test_a_bag_of_a_drive_has_its_states(tmp_path: Path) -> None:
-    reader, factory = pytest.importorskip("mcap.reader"), pytest.importorskip("mcap_ros2.decoder")
+def test_a_bag_of_a_drive_has_the_speed_of_its_belts(tmp_path: Path) -> None:
     rosbags = pytest.importorskip("rosbags.highlevel")
     config = EvalConfig(
-        terrain="step", perception={"name": "lidar", "azimuths": 60, "pose": "belts"}
+        terrain={"name": "step", "platform": 0.4},
+        episode={"run_up": 0.8, "run_out": 0.2},
+        perception={"name": "lidar", "azimuths": 30, "pose": "belts"},
     )
     folder = DriveFolder(tmp_path / "anna", "script: test")
     row = folder.drive(config, FlipperEnv(config=config), Script(), 0)
     bag = tmp_path / "bag"
     export_bag(config, load_policy(tmp_path / "anna"), bag)
-    topics = ("/joint_states", "/odom", "/belt_speed", "/flipper_controller/commands")
-    (file,) = bag.glob("*.mcap")
-    with file.open("rb") as stream:
-        decoded = reader.make_reader(stream, decoder_factories=[factory.DecoderFactory()])
-        ours = [
-            (channel.topic, message.log_time, numbers(decoded_message))
-            for _, channel, message, decoded_message in decoded.iter_decoded_messages(topics)
-        ]
-    with rosbags.AnyReader([bag], default_typestore=typestore()) as other:
-        chosen = [c for c in other.connections if c.topic in topics]
-        theirs = [
-            (c.topic, time, numbers(other.deserialize(data, c.msgtype)))
-            for c, time, data in other.messages(chosen)
-        ]
-    assert sorted(ours) == sorted(theirs)
-    assert {topic for topic, *_ in ours} == set(topics)
-    belts = [values[0] for topic, _, values in ours if topic == "/belt_speed"]
+    with rosbags.AnyReader([bag], default_typestore=typestore()) as reader:
+        (channel,) = (c for c in reader.connections if c.topic == "/belt_speed")
+        messages = reader.messages([channel])
+        belts = [reader.deserialize(data, channel.msgtype).data for _, _, data in messages]
     assert min(belts) == pytest.approx(-0.1, rel=0.02)  # half of the speed, back
     stood = belts.count(0.0) / len(belts) * row["t_cost"]
     assert stood == pytest.approx(row["belts_stood"], abs=0.2)
-
-
-def numbers(message: Any) -> list[float]:
-    """Return the numbers of a message that both readers know."""
-    if hasattr(message, "data"):
-        return [float(x) for x in np.atleast_1d(message.data)]
-    if hasattr(message, "position"):
-        return [*map(float, message.position)]
-    place = message.pose.pose.position
-    return [place.x, place.y, place.z]

@@ -75,26 +75,10 @@ def build(file: Path, robot: dict[str, Any], **settings: Any) -> None:
             "robot.angle_limit=0.3",
         ),
         (
-            {"angle_step": 0.2, "flipper_speed": 0.5},
-            r"turns of 0\.261799 rad \(robot\.angle_step asks for 0\.2\), a decision period of "
-            r"0\.6 s \(.* asks for 0\.4\)",
-            "robot.angle_step=0.2 robot.flipper_speed=0.5",
-        ),
-        (  # the same period by another way is still another table
-            {"angle_step": STEP / 2, "flipper_speed": Robot().flipper_speed / 2},
-            r"turns of 0\.261799 rad \(robot\.angle_step asks for 0\.1309\), also on the real",
-            f"robot.angle_step={STEP / 2!r} robot.flipper_speed={Robot().flipper_speed / 2!r}",
-        ),
-        (
             {"flipper_speed": 0.5},
             r"a decision period of 0\.6 s .* asks for 0\.523599\)",
             "robot.flipper_speed=0.5, or keep the file's period with "
             "randomise.robot.flipper_speed=0.5",
-        ),
-        (
-            {"control_period": 0.3},
-            r"a decision period of 0\.6 s \(robot\.control_period asks for 0\.3\)",
-            "robot.control_period=0.3",
         ),
     ],
 )
@@ -140,8 +124,3 @@ def test_eval_drives_the_file_s_own_robot_and_refuses_another(tmp_path: Path) ->
     for command in (evaluate, ("map", "p.onnx", "--over", "sim.friction,sim.gravity")):
         text = refused(*command, "robot.angle_limit=0.9", cwd=tmp_path)
         assert "error: p.onnx applies a limit of 0.3 rad" in text
-    compare = ("inspect", "reward", "--episodes", "1", "terrain=flat")
-    assert refused(*compare, "p.onnx", "generalist", cwd=tmp_path) == (
-        "error: p.onnx is for robot.angle_limit=0.3, generalist for 1.0472; "
-        "give robot.angle_limit=… to choose the robot\n"
-    )

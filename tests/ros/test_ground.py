@@ -125,9 +125,7 @@ def test_a_folder_of_clouds_with_poses_is_read_as_well(tmp_path, columns):
     ("poses", "error"),
     [
         ("", r"poses.txt: it is empty"),
-        ("0 0 0 nan 0 0 0 1", r"poses.txt, pose 1: finite numbers are allowed; it is 0 0 0 nan"),
         ("0 0 0 0 0 0 0 0", r"poses.txt, pose 1: the quaternion .* must not be 0"),
-        ("1 1 1 0 1 1 1 0 1 1 1 0", r"poses.txt: \[R\|t\] needs a rotation R"),
         ("0 0 0 0 0 0 0 1", r"a.ply cannot be read: \w+"),
     ],
 )

@@ -138,6 +138,13 @@ class Robot:
             self.trace.append(Moment(self.now, answer, self.x, tuple(self.angles), self.runs))
         return self.trace[begun:]
 
+    def run_until_latched(self, longest: float, change: Mutation) -> list[Moment]:
+        """Let time pass until it stopped for good, and 0.2 s more; return the moments."""
+        moments: list[Moment] = []
+        while len(moments) * TICK < longest and not (moments and moments[-1].answer.latched):
+            moments += self.run(0.2, change)
+        return [*moments, *self.run(0.2, change)]
+
 
 def faults(moments: list[Moment]) -> set[str]:
     return {m.answer.fault for m in moments if m.answer.fault}

@@ -10,7 +10,6 @@ from flipperctl.runtime.point_cloud import PointTimes, read_cloud
 STAMP = 1.7e9
 CODES = {"i4": 5, "u4": 6, "f4": 7, "f8": 8}
 TURN = np.linspace(-0.1, 0, 201)
-_UNITS = (1.0, 1e3, 1e6, 1e9)
 
 
 def cloud(points, name, times, code):
@@ -26,54 +25,6 @@ def cloud(points, name, times, code):
         **{"fields": fields, "height": 1, "width": len(rows), "is_bigendian": False},
         **{"point_step": step, "row_step": step * len(rows), "data": rows.tobytes()},
     )
-
-
-def check(seed):
-    """Check a recording of random clouds; few points are lost, or it is told.
-
-    Raises:
-        AssertionError: points are lost without a remark, or their times are wrong.
-    """
-    rng = np.random.default_rng(seed)
-    period = rng.uniform(0.05, 0.2)
-    unit = _UNITS[rng.integers(4)]
-    zero = ("begin", "end", "stamp", "boot")[rng.integers(4)]
-    codes = ["f8"] if zero in ("stamp", "boot") else ["f8", "f4", "u4" if zero == "begin" else "i4"]
-    code = codes[rng.integers(len(codes))]
-    name = ("time", "t", "timestamp", "offset_time", "time_stamp")[rng.integers(5)]
-    if code in ("u4", "i4") and unit < 1e6:
-        unit = 1e9
-    invalid = rng.choice([0.0, 0.05, 0.6])
-    begun, boot = 1.7e9 + rng.uniform(0, 1e6), rng.uniform(100, 1e6)
-    times, clouds = PointTimes(), []
-    for number in range(8):
-        count = int(rng.integers(50, 400))
-        true = np.sort(rng.uniform(-period, 0, count))  # after the end of the turn
-        true[[0, -1]] = -period, 0
-        end = begun + number * period
-        stamp = end - period if zero == "begin" else end
-        numbers = {"begin": true + period, "end": true, "stamp": true + end}.get(zero, true + boot)
-        points, lost = rng.normal(size=(3, count)).T, rng.random(count) < invalid
-        points[lost, 0] = np.nan
-        numbers = numbers * unit
-        if code[0] == "f":
-            numbers[lost] = rng.choice([0.0, np.nan, 1e30])
-        if zero == "boot":
-            boot += period
-        found = read_cloud(cloud(points, name, numbers, code))
-        assert len(found.points) == count - lost.sum()
-        times.add(found.times, stamp, end + 0.01)
-        clouds.append((found, stamp, true[~lost] + end))
-    for found, stamp, true in clouds:
-        shifts = times.shifts(found.times, stamp)
-        if shifts is None:
-            assert times.remarks() or zero == "boot", (seed, zero, name, code, unit)
-            continue
-        assert zero != "boot", (seed, zero, name, code, unit)
-        # Integers of µs are exact to that; double precision of a date to 0.2 µs.
-        assert np.abs(shifts + stamp - true).max() < 1e-4, (seed, zero, name, code, unit)
-    if zero == "boot":
-        assert times.remarks(), (seed, zero, name, code, unit)
 
 
 def told(name, code, numbers, turns=5, period=0.1, late=0.01, turn=TURN):
@@ -170,8 +121,3 @@ def test_sizes_that_contradict_each_other_are_refused(change):
     vars(message).update(change)
     with pytest.raises(ValueError, match=r"a cloud has .* bytes"):
         read_cloud(message)
-
-
-def test_random_clouds_lose_few_points_or_say_why():
-    for seed in range(25):
-        check(seed)

@@ -216,20 +216,6 @@ def test_points_that_are_none_are_refused(
     assert str(caught.value).startswith(str(policy.path))
 
 
-def test_an_angle_is_any_single_finite_number(policy: OnnxPolicy) -> None:
-    expected = policy.observation(GROUND, front=0.5, rear=0.0, pitch=0.0)
-    for front in (np.array(0.5), np.float32(0.5)):
-        found = policy.observation(GROUND, front=front, rear=0.0, pitch=0.0)
-        assert found.tolist() == expected.tolist()
-    for odd in (None, np.zeros(2)):
-        with pytest.raises(PolicyError, match=r"front is .*; a number is allowed"):
-            policy.observation(GROUND, front=odd, rear=0.0, pitch=0.0)
-    with pytest.raises(NonFiniteError, match="front is 1"):
-        policy.observation(GROUND, front=10**400, rear=0.0, pitch=0.0)
-    with pytest.raises(NonFiniteError, match="pitch is nan"):
-        policy.observation(GROUND, front=0.0, rear=0.0, pitch=math.nan, frame="R")
-
-
 # How an action turns the flippers
 
 
@@ -347,16 +333,6 @@ def test_a_position_that_is_none_is_refused(policy: OnnxPolicy) -> None:
     ):
         with pytest.raises(FlipperctlError, match=text):
             policy.act(seen(0.5), position)
-
-
-def test_q_values_and_actions_are_those_of_the_file_without_a_risk(
-    risky: OnnxPolicy, policy: OnnxPolicy
-) -> None:
-    heights = np.linspace(-1, 1, SIZE)
-    assert risky.q_values(heights).tolist() == policy.q_values(heights).tolist()
-    assert risky.act(heights) == policy.act(heights)
-    assert policy.risk is policy.interface.risk is None
-    assert not policy.warning
 
 
 def test_a_risk_that_is_no_number_is_named(

@@ -166,12 +166,12 @@ def test_what_is_wrong_ends_in_one_stop_until_it_is_acknowledged(
     build: Any, fault: str, change: Any
 ) -> None:
     robot = build()
-    robot.run(2.0)
-    bad = robot.run(5.0, change)
+    robot.run(1.2)
+    bad = robot.run(3.0, change)
     assert faults(bad) == {fault}
     assert changes(bad) <= 2
     assert bad[-1].answer.latched
-    good = robot.run(3.0)
+    good = robot.run(2.2)
     assert not any(m.runs for m in good)
     robot.controller.acknowledge()
     assert robot.run(1.0)[-1].answer.state == "driving"
@@ -285,7 +285,7 @@ def test_no_flipper_turns_by_a_tenth_of_a_radian_with_a_wrong_sign_or_unit(
     monkeypatch.setitem(RATES, "joints", rate)
     for raised in (0.0, 0.05, 0.2, 0.3, 0.6, -0.5):
         robot = build(obeys=obeys, angles=[raised, raised, -raised, -raised])
-        moments = robot.run(1.8, change)
+        moments = robot.run_until_latched(1.6, change)
         named = {"motion_sign", "motion_scale", "motion_sides", "joints_value", "joints_pair"}
         assert faults(moments) & named, raised
         assert turned(moments) <= 0.08, raised
@@ -294,7 +294,7 @@ def test_no_flipper_turns_by_a_tenth_of_a_radian_with_a_wrong_sign_or_unit(
 
 @pytest.mark.parametrize("slow", [0.2, 0.05, 0.02])
 def test_slow_flippers_are_told_by_name(build: Any, slow: float) -> None:
-    moments = build(turns=(slow, 1.0)).run(14.0)
+    moments = build(turns=(slow, 1.0)).run_until_latched(14.0, lambda *message: None)
     assert "motion_slow" in faults(moments)
     assert moments[-1].answer.latched
 
@@ -303,11 +303,9 @@ def test_slow_flippers_are_told_by_name(build: Any, slow: float) -> None:
 def test_flippers_that_do_not_follow_stall_and_then_stop(build: Any, kind: str) -> None:
     robot = build()
     robot.run(2.0)
-    if kind == "blocked":
-        robot.turns = (0.0, 1.0)
-        moments = robot.run(14.0)
-    else:
-        moments = robot.run(14.0, repeating("joints", "front", "offsets"))
+    robot.turns = (0.0 if kind == "blocked" else 1.0, 1.0)
+    frozen = repeating("joints", "front", "offsets") if kind == "encoder" else lambda *message: None
+    moments = robot.run_until_latched(14.0, frozen)
     assert faults(moments) <= {"stall", "motion_slow"}
     assert moments[-1].answer.latched
 

@@ -11,10 +11,10 @@ from tests.configurations import Overrides, attempt, left_out, overrides
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(60, marks=pytest.mark.long)])
-def test_a_configuration_trains_or_is_refused_by_name(count: int) -> None:
+@pytest.mark.long
+def test_a_configuration_trains_or_is_refused_by_name() -> None:
     @settings(
-        max_examples=count,
+        max_examples=60,
         phases=[Phase.generate],  # a smaller case of a fault takes minutes to find
         derandomize=True,
         database=None,

@@ -153,7 +153,7 @@ def test_a_teacher_that_plans_whole_episodes_labels_only_its_own() -> None:
 def test_imitation_alone_learns_what_a_rule_does(tmp_path: Path) -> None:
     alone = {"teacher.td_weight": 0.0, "agent.epsilon_start": 0.1}
     rule = {"teacher.controller": {"name": "okada_published"}}  # moves both pairs by one angle
-    config = short_config(**rule, **alone, **{"train.validation_episodes": 10})
+    config = short_config(**rule, **alone, **{"train.validation_episodes": 5})
     summary = trainer(config, tmp_path).run()
     assert summary["best"]["success_rate"] >= 0.8  # 0 % to 20 % without a teacher, of 600
     last = checkpoint.read(tmp_path / checkpoint.LAST)

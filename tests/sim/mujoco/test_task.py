@@ -3,9 +3,6 @@
 import ctypes.util
 import json
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,22 +64,6 @@ def test_a_turned_robot_starts_behind_the_edge_that_its_corner_would_overlap(
     monkeypatch.setattr(placing, "OVERLAP", 1.0)
     with pytest.raises(TerrainError, match="overlaps the robot at the start by"):
         begin({"yaw": 0.4}, 0.78)
-
-
-@pytest.mark.long
-def test_an_unknown_drawing_library_is_one_error() -> None:
-    # In a process of its own, since MuJoCo reads the variable when it is imported.
-    asked = ["eval", "--controller", "okada", "--episodes", "1", "sim=mujoco", "terrain=step"]
-    done = subprocess.run(
-        [sys.executable, "-m", "flipperctl", *asked],
-        env={**os.environ, "MUJOCO_GL": "wrong"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert "error: sim=mujoco: MuJoCo does not import with MUJOCO_GL=wrong" in done.stderr
-    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.long

@@ -1,7 +1,6 @@
 """What the side plane cannot show; ``tests/sim/test_physics.py`` has the rest."""
 
 import math
-import sys
 from pathlib import Path
 
 import mujoco
@@ -10,7 +9,7 @@ import pytest
 
 from flipperctl.api import EndingWorld, Outcome, Profile, Robot, Start
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import MissingExtraError, NonFiniteError
+from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
 
@@ -88,12 +87,6 @@ def test_a_diverged_simulation_is_an_error_and_leaves_no_file(
     with pytest.raises(NonFiniteError, match="sim=mujoco diverged before time"):
         world.advance(5)
     assert not list(tmp_path.iterdir())
-
-
-def test_without_mujoco_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[mujoco\]'"):
-        place()
 
 
 def test_rays_end_on_the_ground_and_pass_through_the_robot() -> None:

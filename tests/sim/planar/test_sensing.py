@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import FloatArray, Profile, RobotState, SensedGround
+from flipperctl.config import EvalConfig
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.requests.plan import scenes
 from flipperctl.requests.text import from_words
@@ -308,8 +309,10 @@ def test_settings_of_a_map_count_in_the_hash_of_conditions_where_they_have_an_ef
         ((config, _),) = scenes(from_words(["terrain=step", *words]), None, "okada")
         return Conditions.of(config)
 
-    plain, other = conditions(), conditions("perception.map_length=1")
-    wrong = conditions("perception.map_error=0.01")
+    plain, other, wrong = (
+        Conditions.of(EvalConfig(terrain="step", perception=settings))
+        for settings in ({}, {"map_length": 1.0}, {"map_error": 0.01})
+    )
     assert "map_jitter" not in wrong.settings["perception"]
     assert "map_error" not in plain.settings["perception"]
     assert plain.hash == other.hash != wrong.hash
