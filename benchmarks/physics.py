@@ -129,17 +129,17 @@ class Clocks:
 
     def reset(self, r: Recording) -> float:
         """Time the environment's reset."""
-        begun = time.perf_counter()
+        begun = time.process_time()
         self.env.reset(seed=r.seed)
-        return time.perf_counter() - begun
+        return time.process_time() - begun
 
     def decision(self, r: Recording) -> float:
         """Time the environment's steps, after ``reset``."""
         step = self.env.step
-        begun = time.perf_counter()
+        begun = time.process_time()
         for action in r.actions:
             step(action)
-        return time.perf_counter() - begun
+        return time.process_time() - begun
 
     def bare(self, r: Recording) -> float:
         """Time Chipmunk's step alone."""
@@ -149,9 +149,9 @@ class Clocks:
         self.bare_contacts = []
         for index in range(len(r.actions)):
             r.snapshots[index].restore(world, r.snapshots[index + 1].phases)
-            begun = time.perf_counter()
+            begun = time.process_time()
             step_alone(world.space, world.sim.substep, substeps * r.samples(index))
-            spent += time.perf_counter() - begun
+            spent += time.process_time() - begun
             self.bare_contacts.append(contacts(world))
         return spent
 
@@ -159,10 +159,10 @@ class Clocks:
         """Time the world with its belts, commanded and sampled as in the environment."""
         world, spent = self._world(r), 0.0
         for index, target in enumerate(r.targets):
-            begun = time.perf_counter()
+            begun = time.process_time()
             world.command(*target)
             world.advance(r.samples(index))
-            spent += time.perf_counter() - begun
+            spent += time.process_time() - begun
         return spent
 
     def sensing(self, r: Recording) -> float:
@@ -170,17 +170,17 @@ class Clocks:
         perception, episode = self.config.perception, self.config.episode
         margin = episode.run_up + episode.run_out + perception.reach + 2.0
         sensor, rng = perception.over(r.profile, margin), np.random.default_rng(0)
-        begun = time.perf_counter()
+        begun = time.process_time()
         for t in r.transitions:
             sensor.sense(t.after, rng)
-        return time.perf_counter() - begun
+        return time.process_time() - begun
 
     def rewards(self, r: Recording) -> float:
         """Time all reward terms."""
-        begun = time.perf_counter()
+        begun = time.process_time()
         for t in r.transitions:
             self.reward(t)
-        return time.perf_counter() - begun
+        return time.process_time() - begun
 
     def _world(self, r: Recording) -> PlanarWorld:
         return PlanarWorld(r.profile, self.config.robot, planar(self.config.sim), r.start)

@@ -182,6 +182,12 @@ class Profile:
         return np.column_stack([np.interp(at, along, line[:, 0]), np.interp(at, along, line[:, 1])])
 
     @cached_property
+    def relief(self) -> tuple[float, float]:
+        """Middle between the lowest and the highest point, and half their distance [m]."""
+        low, high = float(self.points[:, 1].min()), float(self.points[:, 1].max())
+        return (low + high) / 2, (high - low) / 2
+
+    @cached_property
     def cloud(self) -> FloatArray:
         """Points every 0.02 m of the outline with 3 m of level ground on both sides, (P, 2) [m]."""
         return self.sample(_SPACING, 3.0)
@@ -192,24 +198,29 @@ class Profile:
         ``far``: the level ground on both sides has no end, for a robot anywhere; else it ends after
         3 m, as in ``cloud``.
         """
+        begin, end = x - reach, x + reach
         along = self.cloud[:, 0].data  # a memoryview, which is faster for bisect
-        if far and not (along[0] <= x - reach and x + reach <= along[-1]):
-            return np.column_stack(
-                [each[0] for each in self.around_each(np.array([x]), reach, far=far)]
-            )
-        return self.cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
+        first, last = bisect_left(along, begin), bisect_left(along, end)
+        if not far or (along[0] <= begin and end <= along[-1]):
+            return self.cloud[first:last]
+        # Endless level ground continues the cloud at its spacing.
+        ends = np.array([begin, end]), np.array([first, last])
+        index = np.arange(*_continued(self.cloud[:, 0], *ends))
+        inside = np.clip(index, 0, len(along) - 1)
+        points = self.cloud[inside]
+        points[:, 0] += (index - inside) * _SPACING
+        return points
 
     def around_each(
         self, x: FloatArray | float, reach: FloatArray | float, *, far: bool = False
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return x and z of ``around`` of each of M positions, twice (M, P) in world [m].
+    ) -> FloatArray:
+        """Return x and z of ``around`` of each of M positions, (2, M, P) in world [m].
 
         ``x`` is (M,) and ``reach`` (M,) or one number [m]. Rows of fewer points end in NaN. If
-        ``x`` is a number, the points are (P,).
+        ``x`` is a number, the points are (2, P).
         """
         if not getattr(x, "ndim", 0):  # faster than numpy's function
-            points = self.around(float(x), float(reach), far=far)
-            return points[:, 0], points[:, 1]
+            return self.around(float(x), float(reach), far=far).T
         # Each row is a slice of the cloud, padded with the index of a NaN at its end.
         along = self.cloud[:, 0]
         begin, end = np.subtract(x, reach), np.add(x, reach)
@@ -222,8 +233,10 @@ class Profile:
         step = np.arange(counts.max(initial=0))
         index, valid = first[:, None] + step, step < counts[:, None]
         inside = np.where(valid, np.clip(index, 0, len(along) - 1) if beyond else index, len(along))
-        ground_x, ground_z = (column.take(inside) for column in self._columns)
-        return ground_x + (index - inside) * _SPACING if beyond else ground_x, ground_z
+        points: FloatArray = self._columns.take(inside, axis=1)
+        if beyond:
+            points[0] += (index - inside) * _SPACING
+        return points
 
     @cached_property
     def _columns(self) -> FloatArray:

@@ -53,7 +53,7 @@ def assemble(
     """
     observation = np.empty(len(heights) + len(ANGLES), dtype=np.float32)
     observation[: len(heights)] = heights
-    observation[len(heights) :] = front, rear, pitch
+    observation[-3], observation[-2], observation[-1] = front, rear, pitch
     return observation
 
 
@@ -64,33 +64,29 @@ def to_level(points: FloatArray, pitch: float) -> FloatArray:
     return np.column_stack([cos * x - sin * z, sin * x + cos * z])
 
 
-def add_heights(
-    points: FloatArray,
-    behind: float,
-    width: float,
-    total: FloatArray,
-    count: FloatArray,
-    top: FloatArray,
-) -> int:
-    """Add up the heights of each bin's points and count them; return the number of bins with any.
+def add_heights(points: FloatArray, behind: float, width: float, heights: FloatArray) -> int:
+    """Fill in the mean and the highest height of each bin's points; return how many bins have any.
 
     ``points`` are (P, 2) in frame L; the first bin begins ``behind`` the chassis centre, and a bin
-    is ``width`` long [m]. ``total`` and ``count`` are (N,) zeros; ``top``, the heights of the
-    highest points, are (N,) negative infinities.
+    is ``width`` long [m]. ``heights`` are (2, N); those of a bin without points become infinite.
     """
-    seen = 0
+    heights[0], heights[1] = 0.0, -math.inf
+    count = np.zeros(heights.shape[1])
     for i in range(len(points)):
         # A point on the front border may round into a bin past the last one.
-        index = min(int((points[i, 0] + behind) / width), len(total) - 1)
-        if count[index] == 0:
-            seen += 1
-        total[index] += points[i, 1]
+        index = min(int((points[i, 0] + behind) / width), len(count) - 1)
         count[index] += 1
-        top[index] = max(top[index], points[i, 1])
+        heights[0, index] += points[i, 1]
+        heights[1, index] = max(heights[1, index], points[i, 1])
+    seen = 0
+    for index in range(len(count)):
+        if count[index] > 0:
+            heights[0, index] /= count[index]
+            seen += 1
     return seen
 
 
-Add = Callable[[FloatArray, float, float, FloatArray, FloatArray, FloatArray], int]
+Add = Callable[[FloatArray, float, float, FloatArray], int]
 """A function like ``add_heights``."""
 
 
@@ -110,17 +106,14 @@ def bin_heights(
     points they equal theirs. Without any points, every height is 0. ``add_heights``
     may be a compiled one.
     """
-    total, count, top = np.zeros(bins), np.zeros(bins), np.full(bins, -math.inf)
-    seen = add_heights(points, reach(bins, bin_width), bin_width, total, count, top)
+    both = np.empty((2, bins))  # mean and highest
+    seen = add_heights(points, reach(bins, bin_width), bin_width, both)
     if not seen:
-        return np.zeros(heights(bins, highest))
-    if seen == bins:
-        mean = total / count
-    else:
-        where, numbers = np.flatnonzero(count), np.arange(bins)
-        mean = np.interp(numbers, where, total[where] / count[where])
-        top = np.interp(numbers, where, top[where])
-    return np.concatenate([mean, top]) if highest else mean
+        both[:] = 0.0
+    elif seen < bins:
+        where = np.flatnonzero(np.isfinite(both[1]))
+        both = np.array([np.interp(np.arange(bins), where, row[where]) for row in both])
+    return both.ravel() if highest else both[0]
 
 
 def occupied(points: FloatArray, bins: int, bin_width: float) -> NDArray[np.bool_]:

@@ -120,7 +120,7 @@ class Drive:
         self.termination = Termination(profile, self.robot, episode, start.x, lasting)
         self.state = self.delayed_state = self.world.state()
         """The current state, and the perceived one, which is ``perception.delay`` older."""
-        self.poses = self._pose()
+        self.poses = np.array([self._pose()])
         """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5): x [m],
         z [m], pitch, front and rear flipper angle [rad]."""
         self.flipper_work: float | None = None
@@ -162,7 +162,7 @@ class Drive:
         Its first argument is the time of the first pose [s].
         """
         self._movements.append(call)
-        call(self._samples * SAMPLE_PERIOD, self._pose())
+        call(self._samples * SAMPLE_PERIOD, np.array([self._pose()]))
 
     def operate(self, interval: int, call: Callable[[World], Command]) -> None:
         """Let ``call`` command flippers and belts at each decision's start and at intervals in it.
@@ -206,13 +206,15 @@ class Drive:
     def _run(self) -> Outcome | None:
         world, termination, operator = self.world, self.termination, self._operator
         done = 0
-        self.poses = self._pose()
+        path = np.empty((self._events[-1][0] + 1, 5))
+        path[0] = self._pose()
         # Advance from event to event; the world stops at the first sample that reaches a limit.
         for sample, event in self._due_events():
             while done < sample:
                 poses = world.advance(sample - done, termination.limits)
-                self.poses = np.concatenate([self.poses, poses])
-                done += len(poses)
+                begin, done = done + 1, done + len(poses)
+                path[begin : done + 1] = poses
+                self.poses = path[: done + 1]
                 self._moved(poses)
                 last = poses[-1, :3].tolist()
                 if (outcome := world.ended() or termination.after_sample(*last)) is not None:
@@ -254,11 +256,10 @@ class Drive:
         for call in self._movements:
             call((self._samples - len(poses) + 1) * SAMPLE_PERIOD, poses)
 
-    def _pose(self) -> FloatArray:
-        """Return the pose at the last decision, (1, 5), in the order of ``poses``."""
+    def _pose(self) -> tuple[float, ...]:
+        """Return the pose at the last decision in the order of ``poses``."""
         state = self.state
-        x, z = state.position
-        return np.array([[x, z, state.pitch, state.front, state.rear]])
+        return (*state.position.tolist(), state.pitch, state.front, state.rear)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""

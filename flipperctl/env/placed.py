@@ -90,6 +90,8 @@ class PlacedWorld:
         # Once, since the check of a protocol takes long compared with a decision.
         self._terminates = isinstance(world, EndingWorld)
         self._is_powered = isinstance(world, PoweredWorld)
+        self.command = self._world.command
+        """Set the target angles of the flippers; see ``flipperctl.api.World``."""
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the engine's world."""
@@ -134,7 +136,7 @@ class PlacedWorld:
     def flipper_work(self) -> float | None:
         """Return the work of the flippers' motors since the start [J]; None: not measured."""
         work: float | None = self._world.flipper_work() if self._is_powered else None
-        if not _are_finite(work):
+        if work is not None and not math.isfinite(work):
             raise _not_finite(self.engine, "flipper_work", str(work), self.of_engine)
         return work
 
@@ -162,8 +164,8 @@ def require_sensed_finite(
     sensor: Sensor, senses: object, ground: SensedGround, angles: SensedAngles
 ) -> None:
     """Refuse numbers that are not finite, which the object ``senses`` of the sensor returned."""
-    named = {name: getattr(ground, name) for name in ("points", "heights", "position")}
-    faults = [name for name, numbers in named.items() if not _are_finite(numbers)]
+    numbers = ("points", "heights", "position")
+    faults = [name for name in numbers if not _are_finite(getattr(ground, name))]
     if not math.isfinite(angles.front + angles.rear + angles.pitch):
         faults.append("angles")
     if faults:
@@ -178,8 +180,13 @@ def _not_finite(plugin: Plugin, method: str, what: str, built: object) -> Flippe
 
 
 def _are_finite(numbers: Any) -> bool:
-    """Return whether all numbers are finite, sooner than numpy's own ``all``; None is."""
-    return numbers is None or bool(np.logical_and.reduce(np.isfinite(numbers), axis=None))
+    """Return whether all numbers are finite; None is."""
+    # The sum of squares, which takes a third of numpy's time for all numbers, may overflow.
+    return (
+        numbers is None
+        or math.isfinite(np.vdot(numbers, numbers))
+        or bool(np.isfinite(numbers).all())
+    )
 
 
 @dataclass(frozen=True)

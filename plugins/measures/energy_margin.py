@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import FloatArray, RobotStates, Transition, measure
+from flipperctl.api import FloatArray, Transition, measure
 
 from ..posture import centre_of_mass, contacts, tipping_rise
 
@@ -47,12 +47,13 @@ _latest: tuple[Transition, FloatArray] | None = None
 
 
 def _computed(episode: Sequence[Transition]) -> FloatArray:
-    t = episode[0]
+    profile, robot, states = episode[0].profile, episode[0].robot, [t.after for t in episode]
     # All poses at once, since the ground around each takes the most time to find
-    robot, states = t.robot, RobotStates.of([t.after for t in episode])
-    angles = (states.pitch, states.pitch + states.front, states.pitch - states.rear)
+    position = np.array([s.position for s in states])
+    pitch, front, rear = np.array([(s.pitch, s.front, s.rear) for s in states]).T
+    angles = pitch, pitch + front, pitch - rear
     forward, front, rear = (np.column_stack([np.cos(a), np.sin(a)]) for a in angles)  # (M, 2)
-    poses = contacts(t.profile, robot, states.position, (forward, front, rear), _TOUCH)
+    poses = contacts(profile, robot, position, (forward, front, rear), _TOUCH)
     centre = centre_of_mass(robot, forward, poses.front, poses.rear)
     barriers = [_barriers(poses.touching, poses.x, poses.z, centre, side) for side in (1.0, -1.0)]
     return np.minimum(*barriers)

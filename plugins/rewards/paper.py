@@ -57,8 +57,7 @@ class Flipper(RewardTerm):
         """Return the reward in [-1, 0]."""
         robot, state = t.robot, t.after
         middle, reach = self._reach(t)
-        x, z = t.profile.around_each(middle, reach, far=True)
-        x, z = x - state.position[..., :1], z - state.position[..., 1:]
+        x, z = t.profile.around_each(middle, reach, far=True) - state.position.T[..., None]
         candidate = candidate_angles(x, z, state.pitch, robot, near=self.near, far=self.far)
         deviation = abs(state.front - candidate) - self.tolerance
         return -limited(self.lambda_1 * deviation, 0.0, 1.0)
@@ -69,14 +68,12 @@ class Flipper(RewardTerm):
         ``near`` and ``far`` count along the chassis: x cos θ_R + z sin θ_R lies between them, for
         any height z that the profile has.
         """
-        pitch, (x, z) = t.after.pitch, np.moveaxis(t.after.position, -1, 0)
+        (x, z), (level, relief) = t.after.position.T, t.profile.relief
+        cos, sin = limited(np.cos(t.after.pitch), _LEAST_COSINE, 1.0), np.sin(t.after.pitch)
         # Ground of any height may lie at the considered distance, so that the range is wide.
-        cos, sin = np.maximum(np.cos(pitch), _LEAST_COSINE), np.sin(pitch)
-        heights = t.profile.points[:, 1]
-        low, high = sin * (heights.min() - z), sin * (heights.max() - z)
-        begin = (t.robot.hinge_offset + self.near - np.maximum(low, high)) / cos
-        end = (t.robot.hinge_offset + self.far - np.minimum(low, high)) / cos
-        return x + (begin + end) / 2, (end - begin) / 2 + t.robot.track_radius
+        middle = t.robot.hinge_offset + (self.near + self.far) / 2 - sin * (level - z)
+        half = (self.far - self.near) / 2 + abs(sin) * relief
+        return x + middle / cos, half / cos + t.robot.track_radius
 
 
 @reward("pitch")

@@ -257,7 +257,7 @@ def _run(
     space: int,
     substep: float,
     substeps: int,
-    bodies: _Access,
+    access: tuple[Any, ...],
     inertia: FloatArray,
     belt: FloatArray,
     budget: tuple[float, ...],
@@ -267,6 +267,7 @@ def _run(
     poses: FloatArray,
     limits: tuple[float, ...],
 ) -> int:
+    bodies = _Access(*access)
     states, (gravity, servos, belts, tolerance, ahead, above) = bodies.states, budget
     stop, finish, top, half, slope, end, level = limits
     # Energy and flipper angles before the first sample
@@ -345,15 +346,16 @@ class CompiledLoop:
         self._memory = space, bodies, gears, numbers, read, write  # must live as long as the loop
         self._belt = np.frombuffer(ffi.buffer(numbers))
         self._spent = np.zeros(1)
-        # No call changes these arguments; the arrays share their memory with the callbacks.
+        # No call changes these arguments; the arrays share their memory with the callbacks. A call
+        # passes a plain tuple on faster than a named one.
         self._arguments = (
             address(space._space),
             substep,
             substeps,
-            access,
+            tuple(access),
             np.array([[body.mass, body.moment] for body in bodies]),
             self._belt,
-            tuple(budget),  # which a call passes on faster than a named one
+            tuple(budget),
             belt.grip,
             np.array([address(gear._constraint) for gear in gears], np.uintp),
             self._spent,

@@ -206,11 +206,11 @@ class PlanarWorld:
         if self.robot.payload:  # else the centre of mass is the chassis centre
             velocity = chassis.velocity_at_local_point((0.0, 0.0))
         return RobotState(
-            position=np.array(chassis.position),
+            position=np.array([*chassis.position]),
             pitch=pitch,
             front=self._front.angle - pitch,
             rear=pitch - self._rear.angle,
-            velocity=np.array(velocity),
+            velocity=np.array([*velocity]),
             pitch_rate=chassis.angular_velocity,
             time=self._time,
             belts=None if self._share == 1.0 else np.full(2, self._share * self.robot.track_speed),
