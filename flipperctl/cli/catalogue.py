@@ -1,7 +1,7 @@
 """What can be looked up: names by kind, settings by key, words of the field, and a search over all.
 
 In: the registry, the sections' classes, the presets and policies of the package, folders of runs.
-Out: plain values, and the tables that ``list`` and ``explain`` print of them.
+Out: plain values.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cache
@@ -38,16 +38,6 @@ from flipperctl.config.presets import presets as files
 from flipperctl.config.words import key_of, override_text
 from flipperctl.errors import RequestError
 from flipperctl.plugging import plugins
-from flipperctl.text.messages import counted
-from flipperctl.text.show import (
-    NONE,
-    Column,
-    Table,
-    console,
-    print_facts,
-    print_lines,
-    print_table,
-)
 from flipperctl.training.search import SearchSettings
 from flipperctl.training.sweep import of_reached
 
@@ -70,34 +60,6 @@ PLUGIN_KEYS: Mapping[str, str] = {
     "logger": "logger.NAME",
 }
 """Kind of plugin → key of its settings."""
-Row = Mapping[str, Any]
-
-_KIND_COLUMNS = (
-    Column("kind", "kind", named=True),
-    Column("count", "count"),
-    Column("example", "example", wrapped=True),
-)
-_NAME_COLUMNS = (Column("name", "name", named=True), Column("summary", "summary", wrapped=True))
-_RUN_COLUMNS = (
-    Column("name", "run", named=True),
-    Column("terrain", "terrain"),
-    Column("decisions", "decisions"),
-    Column("success", "success"),
-    Column("pitch_variation_100hz", "pitch variation [rad]"),
-    Column("date", "date"),
-)
-_FIELD_COLUMNS = (
-    Column("default", "default", wrapped=True),
-    Column("bounds", "allowed", wrapped=True),
-    Column("unit", "unit"),
-    Column("description", "meaning", wrapped=True),
-)
-_PRESET_COLUMNS = (Column("key", "sets", named=True), Column("value", "to", wrapped=True))
-_HIT_COLUMNS = (
-    Column("name", "name", named=True),
-    Column("kind", "kind"),
-    Column("summary", "meaning", wrapped=True),
-)
 
 
 class Group(NamedTuple):
@@ -288,6 +250,8 @@ def keys_named(word: str) -> list[Key]:
     """Return the settings that a word names: by key, by section, by ``stair.rise`` or ``rise``."""
     known = list(keys())
     whole = [key for key in known if key.key == word]
+    if not whole and word.startswith("randomise."):  # the range of another setting
+        whole = [key for key in known if key.key == word.removeprefix("randomise.")]
     if not whole and word.count(".") > 1 and word.startswith(f"{Learner.kind}."):
         known = list(_arguments())
         whole = [key for key in known if key.key == word]
@@ -424,86 +388,3 @@ def _choices(defaults: Iterable[Any], prefix: str) -> Iterator[tuple[str, str]]:
         for key, value in choice.items():
             group = key.removeprefix("override ").lstrip("/").rpartition("@")[2]
             yield (group if "override" in key or "@rewards" in key else prefix + group), value
-
-
-def print_kinds(kinds: Sequence[Row]) -> None:
-    """Print each kind of names with its count and an example."""
-    print_table(Table(_KIND_COLUMNS, [dict(row) for row in kinds]), console())
-    print("One kind: flipperctl list KIND")
-
-
-def print_names(listed: Sequence[Row], titles: Mapping[str, str]) -> None:
-    """Print a line for each name, in a table for each group; ``titles``: its command."""
-    for group, title in titles.items():
-        rows = [dict(row) for row in listed if row["group"] == group]
-        print_table(Table(_NAME_COLUMNS, rows, title), console())
-    if listed:
-        print(f"More about one: flipperctl explain {listed[0]['name']}")
-
-
-def print_runs(folder: Path, listed: Sequence[Row]) -> None:
-    """Print a line for each run below a folder."""
-    rows = []
-    for row in listed:
-        rate, terrain = row["success_rate"], row["terrain"] or NONE
-        success = NONE if rate is None else f"{rate:.0%}"
-        rows.append({**row, "success": success, "terrain": terrain})
-    print_table(Table(_RUN_COLUMNS, rows, f"{folder}: {counted(len(rows), 'run')}"), console())
-
-
-def print_explained(document: Row) -> None:
-    """Print what ``explain`` found: a word's meaning, names, settings, or hits of a search."""
-    out = console()
-    if document["meaning"]:
-        print_lines(out, [f"{document['word']}: {document['meaning']}"])
-    for entry in document["names"]:
-        _print_entry(entry)
-    if len(document["settings"]) == 1:
-        _print_setting(document["settings"][0])
-    elif settings := document["settings"]:
-        columns = Column("key", "setting", named=True), Column("of", "of", named=True)
-        rows = [_cells(setting) | {"description": setting["short"]} for setting in settings]
-        print_table(Table((*columns, *_FIELD_COLUMNS), rows), out)
-        print(f"More about one: flipperctl explain {settings[0]['alias']}")
-    if document["found"]:
-        title = f"found for {document['word']!r}"
-        print_table(Table(_HIT_COLUMNS, [dict(hit) for hit in document["found"]], title), out)
-
-
-def _print_entry(entry: Row) -> None:
-    """Print a plugin with its settings, or a preset with what it sets."""
-    # What it is, how it is written, and what it sets
-    out, plugin = console(), entry.get("plugin")
-    print_lines(out, [f"{entry['name']} ({entry['group']}): {entry['about'] or entry['summary']}"])
-    print_facts(
-        {"write": entry["command"], **({"source": plugin["source"]} if plugin else {})}, out
-    )
-    if plugin and plugin["fields"]:
-        columns = (Column("name", "setting", named=True), *_FIELD_COLUMNS)
-        print_table(Table(columns, [_cells(field) for field in plugin["fields"]]), out)
-    if entry["settings"]:
-        rows = [{"key": key, "value": value} for key, value in entry["settings"].items()]
-        print_table(Table(_PRESET_COLUMNS, rows), out)
-
-
-def _print_setting(setting: Row) -> None:
-    out = console()
-    default = override_text(setting["default"])
-    if setting["train"] not in (None, setting["default"]):
-        default += f"; flipperctl train has {override_text(setting['train'])}"
-    facts = {
-        "default": default,
-        "allowed": setting["bounds"] or "any",
-        "unit": setting["unit"] if setting["unit"] not in ("-", "") else "none",
-        "part of": f"{setting['of']} ({setting['class']})",
-        "set by": ", ".join(f"{name} ({value})" for name, value in setting["set_by"].items()),
-        "write": setting["command"],
-    }
-    print_lines(out, [f"{setting['key']}: {setting['description']}"])
-    print_facts({name: text for name, text in facts.items() if text}, out)
-
-
-def _cells(row: Row) -> dict[str, Any]:
-    """Return the cells of a row of ``_FIELD_COLUMNS``."""
-    unit = "" if row["unit"] == "-" else row["unit"]
-    return {**row, "default": override_text(row["default"]), "unit": unit}

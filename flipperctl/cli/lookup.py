@@ -50,6 +50,7 @@ def list_names(
       flipperctl list experiments --json
     """
     from flipperctl.cli import catalogue
+    from flipperctl.terminal import names as printed
 
     if pictures is not None and kind not in ("terrain", "terrains"):
         raise RequestError("--pictures needs terrains: flipperctl list terrains --pictures FILE")
@@ -57,7 +58,7 @@ def list_names(
         raise RequestError(f"{folder}: a folder has a meaning with runs alone: list runs FOLDER")
     if kind is None:
         kinds = _kinds()
-        show(kinds, lambda: catalogue.print_kinds(kinds), as_json=as_json)
+        show(kinds, lambda: printed.print_kinds(kinds), as_json=as_json)
         return
 
     # One kind: runs are found in folders, all others in the catalogue.
@@ -66,7 +67,7 @@ def list_names(
     if kind_name == "runs":
         place = folder or Path("runs")
         document["names"] = catalogue.runs(place)
-        show(document, lambda: catalogue.print_runs(place, document["names"]), as_json=as_json)
+        show(document, lambda: printed.print_runs(place, document["names"]), as_json=as_json)
         return
     if pictures is not None:
         _draw(pictures)
@@ -76,7 +77,7 @@ def list_names(
         for e in listed
     ]
     titles = {name: group.command for name, group in catalogue.KINDS[kind_name].items()}
-    show(document, lambda: catalogue.print_names(document["names"], titles), as_json=as_json)
+    show(document, lambda: printed.print_names(document["names"], titles), as_json=as_json)
 
 
 def explain(
@@ -104,6 +105,7 @@ def explain(
     """
     from flipperctl.cli import catalogue
     from flipperctl.cli.glossary import GLOSSARY
+    from flipperctl.terminal import names as printed
     from flipperctl.text.messages import close_match
 
     # A word of the tables, a name or a setting; otherwise the nearest ones
@@ -131,7 +133,7 @@ def explain(
         "found": [asdict(hit) for hit in hits],
     }
 
-    show(document, lambda: catalogue.print_explained(document), as_json=as_json)
+    show(document, lambda: printed.print_explained(document), as_json=as_json)
 
 
 def _kind(word: str) -> str:
