@@ -179,38 +179,20 @@ class Requests:
 
     def check(self) -> None:
         """Refuse requests that would be applied without the effect that they state."""
-        # What is dropped is dropped last, and takes what another request brings with it.
-        dropped = {r.key: r.text for r in self.expanded if r.drops}
         for request in self.expanded:
-            value, text = request.value, request.text
-            word = dropped.get(str(request.package))
-            if word and not request.drops:  # ~rewards.pitch beside reward@rewards.pitch=…
-                raise ConfigError(
-                    f"{word} is applied last and also drops what {text} brings; "
-                    f"to replace the entry, write {text.lstrip('+')} alone"
-                )
+            key, value = request.key, request.value
             if value == {} and not request.drops:
-                key = request.key
                 drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
                 raise ConfigError(
-                    f"{text}: a mapping is merged into the existing one, so that "
+                    f"{request.text}: a mapping is merged into the existing one, so that "
                     f"an empty mapping changes nothing; {drop}"
                 )
             # Names are allowed where entries of groups are chosen.
-            names = value if isinstance(value, list) else [value]
-            are_names = all(isinstance(name, str) for name in names)
-            if request.key == SEARCH_PATH and not (isinstance(value, list) and are_names):
-                raise ConfigError(
-                    f"{SEARCH_PATH}: a list of folders is allowed, as in [my,pkg://package]; the "
-                    f"value is {value!r}"
-                )
-            is_choice = request.key in CHOICES or "/" in request.key or request.package is not None
-            if not is_choice or isinstance(value, Several | Interval | dict):
+            is_choice = key in CHOICES or "/" in key or request.package is not None
+            if not is_choice or isinstance(value, Several | Interval | dict) or request.drops:
                 continue
-            if value is None and not request.drops:
-                raise ConfigError(f"{text}: null is not allowed here; give a name")
-            if value is not None and not are_names:
-                raise ConfigError(f"{request.name}: a name is allowed; the value is {value!r}")
+            if not all(isinstance(v, str) for v in (value if isinstance(value, list) else [value])):
+                raise ConfigError(f"{request.text}: a name is allowed; the value is {value!r}")
 
     def combinations(self) -> Iterator[Requests]:
         """Yield every combination of several values, without the intervals.

@@ -23,7 +23,7 @@ eval level terrain=step --film f.gif --episodes 2 --episode 5 -> 0 to 1 is evalu
 eval okada sim=planar,planar -> another engine is compared with planar
 eval okada conditions=varid -> did you mean 'varied'?
 eval okada conditions=trained -> need --checkpoint; known: nominal
-train conditions=null -> null is not allowed
+train conditions=null -> conditions=null: a name is allowed
 train agent=sb4 -> there is no agent plugin 'sb4' | d3qn, policy_gradient, sb3
 train method=sb3 -> method: a learner is chosen by its name, agent=NAME (d3qn, policy_gradient, sb3)
 train agent=sb3 agent.algorithm=sac -> actions: turns does not go with | actions=rates is allowed
