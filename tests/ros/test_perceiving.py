@@ -81,8 +81,6 @@ def test_the_command_writes_a_film_a_picture_and_the_numbers(bag, tmp_path):
         (["--output", "a.png", "--at", "500"], "--at 500: 0 to "),
         (["--base-frame", "base_lnk"], "there is no frame 'base_lnk' (did you mean 'base_link'"),
         (["--topic", "/poins"], "no PointCloud2 is on '/poins'"),
-        (["--imu", "/imu"], "no Imu is on '/imu' (did you mean '/imu/data'"),
-        (["--belts", "/odo"], "no Float64 or Odometry is on '/odo'"),
     ],
 )
 def test_a_wrong_request_is_one_error(bag, tmp_path, words, error):

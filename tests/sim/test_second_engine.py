@@ -40,6 +40,7 @@ def test_any_setting_of_the_engine_is_sampled_and_no_other(tmp_path: Path) -> No
     assert "sim.slowdown" in header.split(",")
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("registry")
 def test_engine_and_sensors_keep_the_contract() -> None:
     plugins.load([KINEMATIC, RULER, *SENSORS])

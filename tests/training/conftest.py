@@ -15,7 +15,7 @@ from tests.short import few, trainer
 GRADIENT: dict[str, object] = {
     "agent": "policy_gradient",
     "agent.risk": True,
-    "agent.decisions": 100,
+    "agent.decisions": 50,
     "agent.warm_up": 1,
     "agent.anchor": 0.01,
     "agent.batch_size": 32,
@@ -37,10 +37,9 @@ SETUPS: dict[str, dict[str, object]] = {
     },
     "conv": {"network": "conv"},
     "quantile": {"network": "quantile"},
-    "gradient": {**GRADIENT, "train.decisions": 400},
+    "gradient": {**GRADIENT, "train.decisions": 200},
     "taught": {
         **MPC,
-        "train.decisions": 150,
         "train.record": True,
         "network": {"name": "stacked", "window": 2},
         "agent.n_step": 2,
@@ -56,7 +55,12 @@ SETUPS: dict[str, dict[str, object]] = {
 
 def setup(name: str, **more: object) -> TrainConfig:
     """Return the configuration of a training by its name."""
-    short: dict[str, object] = {"train.decisions": 200, "train.validate_every": 100}
+    short: dict[str, object] = {
+        **{"train.decisions": 120, "train.validate_every": 60},
+        **{"terrain.platform": 0.4, "episode.run_up": 0.8, "episode.run_out": 0.2},
+    }
+    if "terrain" in SETUPS[name]:
+        del short["terrain.platform"]
     if "agent" not in SETUPS[name]:
         short["agent.learning_starts"] = 30
     return few(**{**short, **SETUPS[name], **more})

@@ -75,9 +75,10 @@ def test_a_run_with_a_recorded_teacher_resumes_bit_for_bit_without_the_file(
 ) -> None:
     copy = tmp_path / "copy.safetensors"
     copy.write_bytes(file.read_bytes())
-    config = few(**{"teacher.episodes": str(copy), "teacher.loss": "margin"})
+    short = {"train.decisions": 160, "train.validate_every": 80}
+    config = few(**{"teacher.episodes": str(copy), "teacher.loss": "margin", **short})
     trainer(config, tmp_path / "whole").run()
-    require_resumes(config, tmp_path / "whole", tmp_path / "parts", 120)
+    require_resumes(config, tmp_path / "whole", tmp_path / "parts", 90)
     saved = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
     state = saved.document.state
     assert state is not None

@@ -25,7 +25,7 @@ TIME_LEFT = 38
 
 @pytest.mark.parametrize("name", sorted(SETUPS.keys() - {"conv", "quantile"}))
 def test_a_resumed_run_equals_the_uninterrupted_one(name: str, runs: Runs, tmp_path: Path) -> None:
-    stopped = require_resumes(setup(name), runs(name), tmp_path, 120)
+    stopped = require_resumes(setup(name), runs(name), tmp_path, 70)
     assert stopped.document.state is not None
     # Of the four requests that keep two workers busy, one has ended; they are saved and repeated.
     assert len(stopped.document.state.orders) == (3 if name == "fast" else 0)
@@ -36,7 +36,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one(name: str, runs: Runs, tmp_p
 def test_a_run_in_workers_resumes_too(name: str, tmp_path: Path) -> None:
     config = setup(name, **{"train.mode": "fast", "train.workers": 2})
     trainer(config, tmp_path / "whole").run()
-    require_resumes(config, tmp_path / "whole", tmp_path / "parts", 120)
+    require_resumes(config, tmp_path / "whole", tmp_path / "parts", 70)
 
 
 def test_the_settings_of_the_precise_experiment_reach_the_replay(runs: Runs) -> None:
