@@ -23,20 +23,25 @@ def installed() -> str | None:
     return next(filter(None, map(shutil.which, names)), None)
 
 
-@contextmanager
-def chromium(*, draws: bool = True) -> Iterator[Any]:
-    """Run the browser, a ``playwright`` one; an error says what to install.
+def launch(play: Any, *, draws: bool = True) -> Any:
+    """Return a browser of a ``playwright`` that runs; an error says what to install.
 
     ``draws``: whether it draws 3-D scenes.
     """
-    from playwright.sync_api import sync_playwright
-
     program = installed()
     if program is None:
         raise SystemExit("no Chromium on this machine; on Debian: apt install chromium")
+    arguments = [*ARGUMENTS, *(DRAWING if draws else ("--disable-gpu",))]
+    return play.chromium.launch(executable_path=program, args=arguments)
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """Run the browser, which draws 3-D scenes, until the block ends."""
+    from playwright.sync_api import sync_playwright
+
     with sync_playwright() as play:
-        arguments = [*ARGUMENTS, *(DRAWING if draws else ("--disable-gpu",))]
-        browser = play.chromium.launch(executable_path=program, args=arguments)
+        browser = launch(play)
         try:
             yield browser
         finally:

@@ -1,4 +1,4 @@
-"""A browser that the tests of live pages share."""
+"""Browsers of the tests of live pages: one ``playwright`` at a time can run in a process."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -9,9 +9,19 @@ from benchmarks import browser
 
 
 @pytest.fixture(scope="package")
-def chromium() -> Iterator[Any]:
-    """Yield a headless Chromium without 3-D scenes, a ``playwright`` one."""
+def play() -> Iterator[Any]:
+    """Yield the ``playwright`` that launches browsers."""
     if browser.installed() is None:
         pytest.skip("no Chromium is installed")
-    with browser.chromium(draws=False) as opened:
-        yield opened
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as running:
+        yield running
+
+
+@pytest.fixture(scope="package")
+def chromium(play: Any) -> Iterator[Any]:
+    """Yield a browser that draws no 3-D scenes."""
+    opened = browser.launch(play, draws=False)
+    yield opened
+    opened.close()

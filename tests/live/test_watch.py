@@ -111,8 +111,9 @@ def served() -> Iterator[tuple[Gate, page.WatchPage]]:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(browser.installed() is None, reason="no Chromium is installed")
-def test_the_page_is_driven_by_keys_and_buttons(served: tuple[Gate, page.WatchPage]) -> None:
+def test_the_page_is_driven_by_keys_and_buttons(
+    served: tuple[Gate, page.WatchPage], play: Any
+) -> None:
     from playwright.sync_api import expect
 
     gate, shown = served
@@ -123,30 +124,31 @@ def test_the_page_is_driven_by_keys_and_buttons(served: tuple[Gate, page.WatchPa
         if not request.url.startswith((address, "data:", "blob:", "ws://127.0.0.1")):
             problems.append(request.url)
 
-    with browser.chromium() as opened:
-        tab = opened.new_page(viewport={"width": 1000, "height": 320})  # little to draw, and seldom
-        tab.add_init_script(SELDOM)
-        tab.set_default_timeout(120_000)
-        tab.on("request", check)
-        tab.on("pageerror", lambda error: problems.append(str(error)))
-        tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-        tab.goto(gate.address)
-        expect(tab.get_by_text("Q-values").first).to_be_visible(timeout=60_000)
-        tab.get_by_role("button", name="Pause").click()
-        expect(tab.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
-        numbers = tab.get_by_text(re.compile(r"time \d+\.\d s")).first
-        tab.wait_for_timeout(500)  # the running decision ends
-        before = _time(numbers.inner_text())
-        tab.get_by_text("Step", exact=True).click()
-        expect(numbers).not_to_contain_text(f"time {before:.1f} s", timeout=20_000)
-        lane = shown._lanes[0][0]
-        state = lane.env.state
-        tab.wait_for_timeout(500)
-        assert _time(numbers.inner_text()) == pytest.approx(state.time, abs=0.6)
-        after = shown._episode + 1
-        tab.get_by_text("Next", exact=True).click()
-        expect(tab.get_by_text(f"episode {after}").first).to_be_visible(timeout=20_000)
-        shot = tab.screenshot()
+    opened = browser.launch(play)
+    tab = opened.new_page(viewport={"width": 1000, "height": 320})  # little to draw, and seldom
+    tab.add_init_script(SELDOM)
+    tab.set_default_timeout(120_000)
+    tab.on("request", check)
+    tab.on("pageerror", lambda error: problems.append(str(error)))
+    tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    tab.goto(gate.address)
+    expect(tab.get_by_text("Q-values").first).to_be_visible(timeout=60_000)
+    tab.get_by_role("button", name="Pause").click()
+    expect(tab.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
+    numbers = tab.get_by_text(re.compile(r"time \d+\.\d s")).first
+    tab.wait_for_timeout(500)  # the running decision ends
+    before = _time(numbers.inner_text())
+    tab.get_by_text("Step", exact=True).click()
+    expect(numbers).not_to_contain_text(f"time {before:.1f} s", timeout=20_000)
+    lane = shown._lanes[0][0]
+    state = lane.env.state
+    tab.wait_for_timeout(500)
+    assert _time(numbers.inner_text()) == pytest.approx(state.time, abs=0.6)
+    after = shown._episode + 1
+    tab.get_by_text("Next", exact=True).click()
+    expect(tab.get_by_text(f"episode {after}").first).to_be_visible(timeout=20_000)
+    shot = tab.screenshot()
+    opened.close()
     assert problems == []
     assert len(shot) > 10_000
 
