@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl import api
-from flipperctl.api import (
-    ACTIONS,
-    ObservationLayout,
-    Profile,
-    RobotGeometry,
-    action_index,
-)
+from flipperctl.api import ACTIONS, ObservationLayout, Profile, RobotGeometry, action_index
 
 # A ramp of 1 : 2 over 2 m, a face of 1 m down, and 1 m of ground below
 RAMP = Profile([(0.0, 0.0), (2.0, 1.0), (2.0, 0.0), (3.0, -0.5)])

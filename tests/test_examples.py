@@ -72,15 +72,6 @@ def test_each_package_passes_its_own_test(name: str, monkeypatch: pytest.MonkeyP
             check()
 
 
-def test_the_packages_are_what_new_writes() -> None:
-    for name in PACKAGES:
-        folder = package(name)
-        project = (folder / "pyproject.toml").read_text()
-        assert f'{name} = "flipperctl_{name}"' in project
-        for file in ("README.md", f"tests/test_{name}.py", f"src/flipperctl_{name}/py.typed"):
-            assert (folder / file).is_file()
-
-
 @pytest.mark.parametrize("name", ["low", "swift"])
 @pytest.mark.usefixtures("registry")
 def test_each_reward_in_a_file_passes_the_conformance_suite(name: str, tmp_path: Path) -> None:

@@ -198,24 +198,6 @@ def test_it_drives_an_episode_of_a_bag(node: Any, stream: Stream) -> None:
     assert node.transform[1] == pytest.approx(np.eye(3), abs=1e-9)  # clouds come as measured
 
 
-def test_an_arm_and_a_second_lidar_do_not_disturb_it(node: Any, stream: Stream) -> None:
-    Buffer.static["camera"] = Buffer.static["lidar"]
-    both, few = [], stream[: len(stream) // 3]
-    for part in zip(few, elsewhere(few), strict=True):
-        both += part if part[0][1] == "points" else part[:1]
-        if part[0][1] == "joint_states":
-            arm = {**vars(part[0][2]), "name": ["elbow"], "position": np.zeros(1)}
-            both.append((part[0][0], "joint_states", Message(**arm)))
-    controllers = set()
-    for one in both:
-        play(node, [one])
-        controllers.add(id(node.controller))
-    told = [one.status[0].message for one in node.published["/diagnostics"]]
-    assert "driving" in told[:6]
-    assert len(controllers) == 2  # it began anew with the place of the first one's frame
-    assert set(node.warnings) == {"clouds come in lidar and in camera"}
-
-
 def jumps(stream: Stream) -> Stream:
     begun = stream[0][0]
     return [(t + (60 if t > begun + 1 else 0), topic, m) for t, topic, m in stream]
@@ -302,11 +284,3 @@ def split(stream: Stream) -> Iterator[tuple[float, str, Any]]:
                 yield time, topic, Message(**{**vars(message), **part})
         else:
             yield time, topic, message
-
-
-def test_joints_in_parts_are_taken(node: Any, stream: Stream) -> None:
-    told = play(node, list(split(stream[: len(stream) // 3])))
-    first = next(i for i, (_, text, _) in enumerate(told) if text == "driving")
-    assert first < 3
-    assert faults(told[first:]) == set()
-    assert node.warnings == []

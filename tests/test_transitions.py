@@ -63,12 +63,6 @@ def test_transitions_keep_what_each_one_has() -> None:
             assert was.velocity.tolist() == now.velocity.tolist()
 
 
-def test_all_have_the_last_pitches_that_the_shortest_has() -> None:
-    longer = transition(0.5)
-    longer = Transition(**{**vars(longer), "pitches": np.array([0.1, 0.2, 0.3])})
-    assert Transitions.of([longer, transition(0.7)]).pitches.tolist() == [[0.2, 0.3], [0.0, 0.7]]
-
-
 @pytest.mark.parametrize(
     "other",
     [
@@ -82,22 +76,6 @@ def test_transitions_of_different_kinds_are_refused(other: dict[str, Any]) -> No
         Transitions.of([transition(0.5), transition(0.7, **other)])
     with pytest.raises(ValueError, match="one at least"):
         Transitions.of([])
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "text"),
-    [
-        ("action", np.zeros((1, 2), int), r"action has the shape \(1, 2\); \(2, 2\) is allowed"),
-        ("pitches", np.zeros(2), r"pitches has the shape \(2,\); \(2, 2\)"),
-        ("flippers", np.zeros((2, 4, 2)), r"\(2, 3, 2\) is allowed"),
-        ("outcome", (None,), "outcome has 1 entries; 2 are allowed"),
-    ],
-)
-def test_an_array_of_another_shape_is_refused(name: str, value: Any, text: str) -> None:
-    ts = Transitions.of([transition(0.5), transition(0.7)])
-    fields = {field: getattr(ts, field) for field in Transitions.__dataclass_fields__}
-    with pytest.raises(ValueError, match=text):
-        Transitions(**{**fields, name: value})
 
 
 def test_a_predicted_state_may_leave_out_what_the_side_plane_lacks() -> None:

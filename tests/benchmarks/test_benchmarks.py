@@ -4,19 +4,15 @@ import json
 import math
 import shlex
 from importlib import import_module
-from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 import pytest
-import torch
 
 from benchmarks import (
     coverage,
     engine_agreement,
-    estimator_fuzz,
     learner,
-    left_out,
     lidar,
     map_errors,
     results,
@@ -24,23 +20,12 @@ from benchmarks import (
     statics,
     tables,
 )
-from benchmarks.settings import (
-    MEASURES,
-    Benchmark,
-    quantity,
-    ratio,
-    sizes,
-    table,
-)
-from flipperctl.agent.risk import RiskNetwork
+from benchmarks.settings import MEASURES, Benchmark, quantity, ratio, sizes, table
 from flipperctl.api import Robot
-from flipperctl.checkpoint import read
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
-from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.learners.double_q import DoubleQ
 from flipperctl.policies.source import load_policy
-from flipperctl.policies.trained import policy_risk
 from flipperctl.sim.planar.sensing import correlated
 
 UNITS = {"m", "rad", "1/s", "s", "ms", "µs", "MiB", "-"}
@@ -166,13 +151,6 @@ def test_intervals_contain_the_truth_as_often_as_stated() -> None:
     assert seeds["mean"] > 0.9 > seeds["mean, percentile bootstrap"]
 
 
-def test_each_random_message_leads_to_an_estimate_or_a_reason() -> None:
-    counts = estimator_fuzz.fuzz(300, 100)
-    assert sum(counts.values()) == 300
-    assert counts["estimate"] >= 30
-    assert sum(count for text, count in counts.items() if text.startswith("reason")) >= 30
-
-
 def test_the_errors_of_a_map_on_level_ground_are_found_again() -> None:
     x = np.arange(600 * 15 * 10) * 0.15 / 10
     values = 0.006 * correlated(x, 0.25, np.random.default_rng(4))
@@ -193,21 +171,6 @@ def test_a_ratio_is_of_medians_and_its_spread_of_pairs() -> None:
     found = ratio([2.0, 9.0, 4.0], [1.0, 3.0, 4.0])  # pairs 2, 3, 1; medians 4 and 3
     assert found["ratio"] == pytest.approx(4 / 3)
     assert (found["low"], found["high"], found["rounds"]) == (1.5, 2.5, 3)
-
-
-def test_a_new_risk_comes_into_a_policy_and_changes_nothing_else(tmp_path: Path) -> None:
-    shipped = read(load_policy("generalist").file)
-    network = RiskNetwork(policy_risk(shipped).network.layers[0].in_features)
-    calibration = RiskCalibration(RiskSign(12, 0.37), 1.5, -2.0)
-    left_out.save(shipped, network, calibration.to_metrics(), tmp_path / "new.safetensors")
-    new = read(tmp_path / "new.safetensors")
-    risk = policy_risk(new)
-    assert (risk.sign, risk.slope, risk.shift) == (calibration.sign, 1.5, -2.0)
-    assert torch.equal(risk.network.layers[0].weight, network.layers[0].weight)
-    kept, policy = shipped.part("policy"), new.part("policy")
-    assert kept.keys() == policy.keys()
-    assert all(torch.equal(kept[name], policy[name]) for name in kept)
-    assert new.document.config == shipped.document.config
 
 
 def test_an_unsolved_run_is_told_as_such() -> None:

@@ -19,11 +19,7 @@ from tests.short import short_config
 
 PLAIN = to_dict(TrainConfig(terrain="flat", network="mlp"))
 STAIR = EnvConfig(terrain="stair")
-GRADIENT = {
-    "agent": "policy_gradient",
-    "agent.decisions": 100,
-    "agent.warm_up": 2,
-}
+GRADIENT = {"agent": "policy_gradient", "agent.decisions": 100, "agent.warm_up": 2}
 OKADA = {"teacher.controller": {"name": "okada"}, "teacher.td_weight": 0.0}
 
 

@@ -45,14 +45,6 @@ def trace(metres: float = 6.0, states: int = 61, ground: Profile = STEP, **more:
     return Trace(**place | angles | poses | decided | more)
 
 
-def test_marks_of_start_and_finish_are_explained() -> None:
-    within = Profile(STEP.points, run_up=-0.2, run_out=-0.5)
-    legend = terrain_figure([within], ROBOT).axes[0].get_legend()
-    assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == ["start", "finish"]
-    assert terrain_figure([STEP], ROBOT).axes[0].get_legend() is None
-
-
 def test_terrain_draws_the_robot_to_scale_before_the_first_edge() -> None:
     axes = terrain_figure([STEP], ROBOT).axes[0]
     belts = [c for c in axes.collections if np.array_equal(c.get_facecolor(), [to_rgba(BELT)])]
@@ -75,15 +67,6 @@ def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> 
     assert few.axes[1].get_subplotspec().get_gridspec().ncols == 3
     point, drop = Profile([(0, 0)]), Profile([(0, 0), (0, -0.4)])
     save(terrain_figure([point, drop], ROBOT), tmp_path / "odd.png")
-
-
-def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
-    long = Profile([(0.0, 0.0), (100.0, 0.5), (200.0, 0.0)])
-    assert terrain_figure([long], ROBOT).axes[0].get_ylabel().startswith("Height [m], × ")
-    figure = episode_figure(trace(200.0, 401, long))
-    assert figure.axes[0].get_ylabel().startswith("Height [m], × ")
-    assert len([text for text in figure.axes[0].texts if text.get_text().endswith(" s")]) <= 13
-    assert terrain_figure([STEP], ROBOT).axes[0].get_ylabel() == "Height [m]"
 
 
 def test_episode_marks_the_same_poses_in_both_panels() -> None:

@@ -67,12 +67,9 @@ def test_files_folders_and_the_variable_give_plugins_and_nothing_else_does(
     ("name", "body", "text"),
     [
         ("a.py", "import no_such_library", r"a\.py:2: ModuleNotFoundError: .*'no_such_library'"),
-        ("a.py", "1 / 0", r"a\.py:2: ZeroDivisionError"),
-        ("a.py", "import json; json.loads('{')", r"a\.py:2: JSONDecodeError"),  # of a library
         ("a.py", "height: = 0.2", r"a\.py:2: invalid syntax"),
         ("a.py", "from heights import H", r"beside it: write from \.heights import"),
         ("gone.py", "", "gone.py .*does not exist"),
-        ("notes.txt", "", r"notes.txt .*is not a \.py file"),
         ("empty", "", r"empty .*no \.py file"),
         ("heights.py", "", r"heights\.py registers nothing; decorate a class"),
     ],
@@ -235,20 +232,7 @@ def test_a_name_taken_twice_names_both(tmp_path: Path) -> None:
     assert f"{two}:3: " in text
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "terrain",
-        "reward",
-        "network",
-        "controller",
-        "engine",
-        "sensor",
-        "measure",
-        "logger",
-        "command",
-    ],
-)
+@pytest.mark.parametrize("kind", ["terrain", "sensor", "command"])
 def test_a_decorator_without_its_name_says_what_to_write(tmp_path: Path, kind: str) -> None:
     file = tmp_path / "bare.py"
     file.write_text(f"from flipperctl.api import {kind}\n@{kind}\nclass Ridge:\n    pass\n")

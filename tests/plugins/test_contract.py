@@ -39,9 +39,7 @@ def marks(name: str) -> list[pytest.MarkDecorator]:
 
 
 @pytest.mark.parametrize(
-    "check",
-    [pytest.param(check, marks=marks(str(check))) for check in checks(*HELD)],
-    ids=str,
+    "check", [pytest.param(check, marks=marks(str(check))) for check in checks(*HELD)], ids=str
 )
 def test_a_plugin_keeps_the_contract(check: Check) -> None:
     check()

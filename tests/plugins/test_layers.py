@@ -14,7 +14,6 @@ from flipperctl_plugins.recorded_ground.layers import (
     layer_of_points,
 )
 from trimesh import Trimesh
-from trimesh.creation import icosphere
 from trimesh.util import concatenate
 
 from flipperctl.config import resolver
@@ -33,12 +32,10 @@ CEILING = ((0, 0, 9.5), (4, 3, 9.6))
         ([(0, 1)], 0, 0),
         ([(-1, -1), (0, 1)], 0, 0),
         ([(-1, -1), (0, 1), (3, -1), (3.1, 1)], 0, 3.1),  # a ceiling
-        ([(-1, -1), (0, 1), (0.5, -1), (0.6, 1)], 0.6, 0.6),  # a table that is too low
         ([(0, 1), (3, 1)], 0, 3),  # two sheets
         ([(0, 1), (3, -1)], 0, None),  # a floor and a ceiling that looks down
         ([(-1, -1), (-0.1, -1), (0, 1), (2, 1)], 2, 2),  # a wall that stands in the ground
         ([(-0.1, -1), (0, 1), (2, 1)], 2, 2),  # a wall on a sheet: doubtful, thus the wall's top
-        ([(-0.1, -1), (0, 1), (2, 1), (3, -1)], 2, None),  # the same below a sheet
         ([(-1, -1)], None, None),  # a bottom through a hole
         ([(0, 1), (0, 1), (3, -1), (3, 1)], 0, 3),  # an edge of two faces, a sheet of two sides
         ([], None, None),
@@ -193,15 +190,6 @@ def test_missing_values_of_a_map_are_unknown_ground(
     assert np.ptp(wide.points[:, 1]) == 0
 
 
-def test_up_maps_the_axes_as_its_description_says(tmp_path: Path) -> None:
-    # With y up, the file's (1, 2, 3) is x = 3, y = 1 and height 2: a slope of 0.5 along the file's
-    # z, beside which the file's x runs to the left.
-    corners = [(0, 0, 0), (2, 0, 0), (2, 2, 4), (0, 2, 4)]
-    write(tmp_path / "slope.obj", Trimesh(corners, [(0, 2, 1), (0, 3, 2)], process=False))
-    found = profile(tmp_path / "slope.obj", up="y", start=(0.5, 1.0), end=(3.5, 1.0))
-    assert found.points[-1] == pytest.approx((3.0, 1.5))
-
-
 ALONG = {"start": (0.1, 0.0), "end": (3.9, 0.0)}
 
 
@@ -223,7 +211,6 @@ def body(low: float, high: float, x: tuple[float, float] = (1.5, 2.5), y: float 
     return solid(((x[0], -y, low), (x[1], y, high)))
 
 
-FLIGHT = [body(0, 0.15 * (step + 1), (1.25 + 0.25 * step, 3)) for step in range(3)]
 OPEN = Trimesh(body(0, 0.4).vertices, body(0, 0.4).faces[2:], process=False)  # half a side misses
 
 
@@ -232,24 +219,14 @@ OPEN = Trimesh(body(0, 0.4).vertices, body(0, 0.4).faces[2:], process=False)  # 
     [
         ([tiled(0), body(0, 0.4), tiled(3)], 0.4),
         ([tiled(0), body(-0.05, 0.4), tiled(3)], 0.4),  # sunk into the floor
-        ([tiled(0), body(0.02, 0.4), tiled(3)], 0.4),
         ([tiled(0, 8), body(0, 0.4), tiled(3)], 0.4),  # its edges are edges of tiles, too
-        ([tiled(0, 8), body(0, 0.4, y=1), tiled(3, 8), body(3, 3.5), tiled(6)], 0.4),
-        ([tiled(0), body(0, 0.4), body(0, 0.4), tiled(3)], 0.4),  # written twice
-        ([tiled(0), *FLIGHT, tiled(3)], 0.45),  # bodies whose ends coincide
-        ([tiled(0), body(0, 0.4), body(0.4, 0.6), tiled(3)], 0.6),
         ([tiled(0), OPEN, tiled(3)], 0.4),
         ([tiled(0), without(body(0, 0.4), 0), tiled(3)], 0.4),  # without a bottom
-        ([tiled(0), icosphere(radius=0.4).apply_translation((2, 0, 0)), tiled(3)], 0.4),
-        ([body(-0.2, 0, (0, 4), 1), body(0, 0.4), tiled(3)], 0.4),
         ([tiled(0), tiled(0, down=True), tiled(3)], 0.0),  # a floor of two sides
         ([tiled(0), body(1.5, 1.6), tiled(3)], 0.0),  # a bridge
         ([tiled(0), body(0.7, 0.75), tiled(3)], 0.75),  # a table
         ([tiled(0), body(0, 3), tiled(3)], 3.0),  # a pillar
-        ([tiled(0), body(0, 0.4), tiled(3, down=True)], 0.4),
-        ([tiled(0), body(0, 0.4), body(3, 3.2, (0, 4), 1)], 0.4),
         ([tiled(0), body(-0.1, 2)], 2.0),  # walls that stand in sheets
-        ([tiled(0, 8), body(0, 2), tiled(4)], 2.0),
     ],
 )
 def test_a_body_between_sheets_is_ground(

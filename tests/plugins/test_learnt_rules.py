@@ -19,14 +19,7 @@ from flipperctl_plugins.controllers.zimmermann import (
 )
 from numpy.typing import NDArray
 
-from flipperctl.api import (
-    ACTIONS,
-    ObservationLayout,
-    Outcome,
-    Perception,
-    RecordedEpisode,
-    Robot,
-)
+from flipperctl.api import ACTIONS, ObservationLayout, Outcome, Perception, RecordedEpisode, Robot
 
 LAYOUT, ROBOT = ObservationLayout(), Robot()
 X = (np.arange(15) - 7) * 0.15  # centres of the bins [m]

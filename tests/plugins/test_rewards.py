@@ -89,10 +89,7 @@ def candidate(*points: tuple[float, float], pitch: float = 0.0, **settings: Any)
 
 def turned(point: tuple[float, float], angle: float) -> tuple[float, float]:
     x, z = point
-    return (
-        math.cos(angle) * x - math.sin(angle) * z,
-        math.sin(angle) * x + math.cos(angle) * z,
-    )
+    return (math.cos(angle) * x - math.sin(angle) * z, math.sin(angle) * x + math.cos(angle) * z)
 
 
 GROUND = [(x, -0.1) for x in np.arange(-1.0, 1.0, 0.02)]
@@ -209,12 +206,7 @@ def test_the_chassis_pays_for_its_swing(pitches: tuple[float, ...], value: float
 
 
 @pytest.mark.parametrize(
-    ("outcome", "value"),
-    [
-        (None, 0.0),
-        (Outcome.REACHED, 25.0),
-        (Outcome.TIMEOUT, -25.0),
-    ],
+    ("outcome", "value"), [(None, 0.0), (Outcome.REACHED, 25.0), (Outcome.TIMEOUT, -25.0)]
 )
 def test_the_end_settles(outcome: Outcome | None, value: float) -> None:
     assert term("end", settlement=25.0)(decision(outcome=outcome)) == value

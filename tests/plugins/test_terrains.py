@@ -222,10 +222,7 @@ def test_an_excerpt_is_a_piece_of_the_ground() -> None:
 def test_an_excerpt_of_shorter_ground_is_all_of_it(ground: str) -> None:
     whole, piece = (
         drawn(name, 4, **fields)
-        for name, fields in (
-            (ground, {}),
-            ("excerpt", {"terrain": ground, "length": 90.0}),
-        )
+        for name, fields in ((ground, {}), ("excerpt", {"terrain": ground, "length": 90.0}))
     )
     assert np.array_equal(piece.points, whole.points)  # with the faces at its ends
     assert piece.drawn["piece_length"] == whole.end - whole.start

@@ -31,20 +31,13 @@ def values(settings: dict[str, Any]) -> list[tuple[str, Any]]:
     ("value", "text"),
     [
         (True, "true"),
-        (np.bool_(False), "false"),
-        (3, "3"),
-        (1e-5, "1e-05"),
         (np.float64(0.5), "0.5"),
-        (float("inf"), "inf"),
-        ("stair", "stair"),
+        (Path("runs/a b"), '"runs/a b"'),
+        (1e-5, "1e-05"),
         ("3", '"3"'),
         ("null", '"null"'),
-        ("True", '"True"'),
-        ("key=value", '"key=value"'),
         ('say "hi"', r'"say \"hi\""'),
-        ("end\\", r'"end\\"'),
         (r"\"", r'"\\\""'),
-        (Path("runs/a b"), '"runs/a b"'),
         (Kind.ONE, "one"),
         ((1, "x y"), '[1,"x y"]'),
         (np.array([[0.5, 1.0]]), "[[0.5,1.0]]"),
@@ -78,10 +71,7 @@ TRAININGS: list[tuple[dict[str, Any], list[str]]] = [
         {"train": {"decisions": 5000, "mode": "exact"}, "rewards.swing.weight": 4},
         ["train={decisions: 5000, mode: exact}", "rewards.swing.weight=4"],
     ),
-    (
-        {"sim": "mujoco", "randomise": {"sim.yaw": 0.1}},
-        ["sim=mujoco", "randomise.sim.yaw=0.1"],
-    ),
+    ({"sim": "mujoco", "randomise": {"sim.yaw": 0.1}}, ["sim=mujoco", "randomise.sim.yaw=0.1"]),
     ({"rewards": {"travel": None}}, ["~rewards.travel"]),
     (
         {"+reward@rewards.hit": "impact", "rewards.calm": "time"},
@@ -131,10 +121,7 @@ def test_a_plan_is_the_same_by_both_doors(settings: dict[str, Any], words: list[
     [
         ({"terrain": "stiar"}, "terrain=stiar"),
         ({"train": {"decisons": 5}}, "train.decisons=5"),
-        ({"experiment": None}, "experiment=null"),
-        ({"agent.gamma": 3}, "agent.gamma=3"),
         ({"terrain": 3}, "terrain=3"),
-        ({"method": "sb3"}, "method=sb3"),
     ],
 )
 def test_a_wrong_request_is_refused_alike_by_both_doors(settings: dict, word: str) -> None:

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.console import Console
 
-from flipperctl.terminal import tables
 from flipperctl.text import show
 from flipperctl.text.show import Column, Table, print_table
 from tests.cli.call import call
@@ -144,18 +143,3 @@ def test_no_table_breaks_a_line_or_cuts_a_number(
         assert max(map(cell_len, texts[1])) <= 100
         narrow, middle, wide = (set(re.findall(r"\d+\.\d+", "\n".join(text))) for text in texts)
         assert narrow == middle == wide
-
-
-def test_a_setting_that_the_training_left_open_is_null(capsys: pytest.CaptureFixture[str]) -> None:
-    found = {
-        **{"bytes": 1, "observations": 1, "largest_q_value": 1.0, "largest_difference": 0.0},
-        **{"allowed_difference": 1e-4, "action_agreement": 1.0},
-        "robot_changes": {
-            "payload": {"training": None, "file": 5.0},
-            "track_speed": {"training": 0.2, "file": 0.3},
-        },
-    }
-    tables.print_export(Path("a.onnx"), Path("run"), found)
-    text = " ".join(capsys.readouterr().out.split())
-    assert "robot.payload 5 kg (training null)" in text
-    assert "robot.track_speed 0.3 m/s (training 0.2)" in text

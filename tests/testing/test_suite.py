@@ -1,7 +1,6 @@
 """The faults that the conformance suite finds, and the messages that an author reads."""
 
 import math
-import random
 import unittest
 from collections.abc import Callable
 from pathlib import Path
@@ -14,12 +13,7 @@ from pydantic import Field
 from flipperctl import api
 from flipperctl.api import Outcome, Profile, RewardTerm, Terrain
 from flipperctl.config import TrainConfig
-from flipperctl.errors import (
-    ConformanceError,
-    MissingExtraError,
-    PluginFailedError,
-    TerrainError,
-)
+from flipperctl.errors import ConformanceError, MissingExtraError, PluginFailedError, TerrainError
 from flipperctl.export import policy as export_policy
 from flipperctl.plugging import plugins
 from flipperctl.testing import Conformance, NotChecked, checks
@@ -66,15 +60,12 @@ def reset(rng: np.random.Generator) -> Profile:
     ("check", "draw", "words"),
     [
         ("profiles", lambda h, rng: [(0, 0)], ["with its defaults", "returns a list", "Profile"]),
-        ("profiles", lambda h, rng: Profile([(0, 0), (-h, 0)]), ["seed 0", "x decreases"]),
         ("profiles", lambda h, rng: box(1 / (0.4 - h)), ["with height=0.4", "ZeroDivisionError"]),
         ("profiles", lambda h, rng: box(np.random.default_rng().random()), ["must come from rng"]),
-        ("profiles", lambda h, rng: box(random.random()), ["only rng is allowed"]),
         ("profiles", lambda h, rng: box(h, 500 * h + 1), ["101 m long", "at most 100 m", "=0.4"]),
-        ("profiles", lambda h, rng: box(-99 * h), ["39.6 m", "20 m is allowed"]),
         ("profiles", lambda h, rng: level(200_000), ["200,000 points", "at most 100,000"]),
         ("varies", lambda h, rng: reset(rng), ["unequal seeds in equal states"]),
-        ("start", lambda h, rng: box(400.0), ["observation space"]),
+        ("start", lambda h, rng: box(400.0), ["400 m above or below", "at most 100 is allowed"]),
     ],
 )
 @pytest.mark.usefixtures("registry")
@@ -204,13 +195,7 @@ def test_a_reward_that_fails_is_described_with_the_outcome(
     ("form", "words"),
     [
         (lambda ts: -np.abs(ts.after.pitch) - 1e-6, ["array returns -", "__call__ -", "1e-09"]),
-        (lambda ts: -np.abs(ts.before.pitch), ["array returns -", "(running)"]),
-        (
-            lambda ts: np.zeros((len(ts), 1)),
-            ["one of float64 and shape (", "floats of shape ("],
-        ),
-        (lambda ts: [-abs(t.after.pitch) for t in ts], ["returns list"]),
-        (lambda ts: np.full(len(ts), np.nan), ["array returns nan"]),
+        (lambda ts: np.zeros((len(ts), 1)), ["one of float64 and shape (", "floats of shape ("]),
         (lambda ts: -np.abs(ts.after.pitch, out=ts.after.pitch), ["changes the transitions"]),
     ],
 )

@@ -35,13 +35,7 @@ from flipperctl.requests.text import from_words
 from flipperctl.text.files import write_csv
 from flipperctl.text.show import interval_text, latex
 from flipperctl.views import evaluation
-from flipperctl.views.evaluation import (
-    csv_rows,
-    document,
-    parse_columns,
-    parse_groups,
-    policies,
-)
+from flipperctl.views.evaluation import csv_rows, document, parse_columns, parse_groups, policies
 from flipperctl.views.published import published
 from flipperctl.views.run import episode_rows
 from flipperctl.views.summary import named

@@ -5,12 +5,7 @@ import pytest
 from flipperctl.core.risk import RiskSign
 from flipperctl.evaluation.statistics import paired_success, proportion
 from flipperctl.rollout.risks import EpisodeRisks, threshold_for
-from flipperctl.views.summary import (
-    difference,
-    estimate,
-    summarise,
-    summary,
-)
+from flipperctl.views.summary import difference, estimate, summarise, summary
 from tests.evaluation.samples import episodes, sample
 
 pytestmark = pytest.mark.usefixtures("core_measures")

@@ -96,15 +96,6 @@ def test_a_default_folder_that_is_taken_gives_way_to_another(
     assert "already holds a run" in refused("train", *chosen, cwd=tmp_path)
     with pytest.raises(OutputError, match="already holds a run"):
         train(overrides=chosen, progress=False)
-    sweep = tmp_path / "runs" / "multirun" / taken.name
-    sweep.mkdir(parents=True)
-    with hold(sweep, "sweep"):
-        done = call("train", "-m", *QUICK, "seed=1,2", cwd=tmp_path)
-    assert done.code == 0, done.err
-    kept = sorted(path.name for path in sweep.with_name(f"{taken.name}_2").iterdir())
-    assert [name for name in kept if name[0] != "."] == [
-        *("0_seed=1", "1_seed=2", "multirun.yaml", "sweep.csv")
-    ]
 
 
 def flipperctl_train(folder: Path) -> Path:

@@ -43,10 +43,7 @@ class Launcher:
 
 
 def search(
-    folder: Path,
-    overrides: list[str] = DRAWN,
-    fails: dict[int, Any] | None = None,
-    **settings: Any,
+    folder: Path, overrides: list[str] = DRAWN, fails: dict[int, Any] | None = None, **settings: Any
 ) -> tuple[list[dict[str, str]], list[optuna.trial.FrozenTrial]]:
     """The jobs of this start, and all trials of the study."""
     folder.mkdir(exist_ok=True)
@@ -198,8 +195,6 @@ def test_the_objective_is_the_return_where_runs_choose_by_it() -> None:
             ["+reward@rewards.more=progress,impact", "train.best_by=return"],
             r"\+reward@rewards.more: a search by returns",
         ),
-        (["experiment=quick,searched"], "experiment=searched: a search has one objective"),
-        (["++train.validation_seed=interval(1,9)"], "train.validation_seed: a search has one"),
     ],
 )
 def test_objectives_that_do_not_compare_are_refused(words: list[str], text: str) -> None:
