@@ -177,16 +177,9 @@ def test_a_disk_that_fills_up_while_writing_keeps_the_old_checkpoint(best: Path)
     ("changes", "expected"),
     [
         ({"config": ...}, "document.config: Field required"),
-        ({"config.rewards.end.weight": None}, "document.config.rewards.end.weight: "),
-        ({"kind": "better"}, "document.kind: Input should be 'best' or 'last'"),
-        (
-            {"actions.joints": ["left", "right"]},
-            "document.actions: the actions turn left, right",
-        ),
         ({"padding": "x"}, "document.padding: there is no such key"),
         ({"validation": ...}, "belong to the kind 'best'"),
         ({"validation.success_rate": 1.5}, "document.validation.success_rate: "),
-        ({"state": {}}, "document.state"),
     ],
 )
 def test_a_wrong_document_is_named_by_its_path(
@@ -206,7 +199,6 @@ def test_a_wrong_document_is_named_by_its_path(
         ("[]", "it must be a mapping; it is a list"),
         ("[" * 100_000, "nested too deeply"),
         ('{"format": 2, "format": 2}', "the key 'format' twice"),
-        ('{"format": 1e999}', "it holds 1e999"),
         (f'{{"format": {FORMAT}, "kind": "\\ud800"}}', "document: Invalid JSON"),
         (f'{{"format": {FORMAT}, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
     ],
@@ -224,7 +216,6 @@ def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: 
     [
         ({"state": ...}, "a state belongs to the kind 'last', and to no other"),
         ({"state.generators.explore.state.state": 1 << 128}, "explore.state.state: "),
-        ({"state.validations.0.pitch_variation": None}, "state.validations.0.pitch_variation: "),
         ({"state.orders": [[0, 1, 0.5, 0, 0, 1.0]]}, "document.state.orders.0: "),
     ],
 )

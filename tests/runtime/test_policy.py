@@ -52,14 +52,12 @@ def test_the_action_of_the_largest_q_value_is_taken(policy: OnnxPolicy) -> None:
             NonFiniteError,
             rf"{SIZE - 2}\] \(theta_f2\) is nan; finite numbers are allowed",
         ),
-        (3, -math.inf, NonFiniteError, r"3\] \(h_4\) is -inf; finite numbers are allowed"),
         (
             SIZE - 1,
             20.0,
             PolicyError,
             rf"{SIZE - 1}\] \(theta_R\) is 20 rad; ±π is allowed: angles are in rad",
         ),
-        (SIZE - 3, -3.2, PolicyError, rf"{SIZE - 3}\] \(theta_f1\) is -3\.2 rad"),
         # 5 m and half of 15 bins of 0.15 m
         (18, -100.0, PolicyError, r"18\] \(top_4\) is -100 m; ±6\.125 m is allowed"),
         (3, -100.0, PolicyError, r"3\] \(h_4\) is -100 m; ±6\.125 m is allowed: .* in metres"),

@@ -51,8 +51,6 @@ def test_a_resumed_run_cuts_the_file_at_its_checkpoint_and_appends(path: Path) -
 
 EDITS: dict[str, Callable[[bytes], bytes]] = {
     "semicolons": lambda text: text.replace(b",", b";"),
-    "a comment": lambda text: b"# mine\r\n" + text,
-    "a blank line": lambda text: b"\r\n" + text,
     "a byte order mark": lambda text: BOM + text,
     "floats": lambda text: text.replace(b"episode,1,", b"episode,1.0,"),
     "a cell": lambda text: text.replace(b"episode,2,", b"episode,7,"),
@@ -135,10 +133,7 @@ def test_a_kill_before_a_checkpoint_leaves_what_the_one_before_it_states(tmp_pat
             "names separated by commas are allowed; it has 'kind;decision'",
         ),
         (b"kind,decision\nepisode,1\n\nepisode,2,3\n", "line 4: 3 cells in 2 columns"),
-        (b"kind,decision\nepisode\nepisode,2\n", "line 2: 1 cells in 2 columns"),
         ("kind,decision\nepisode,1\n".encode("utf-16"), "is not text in UTF-8"),
-        (b'kind,decision\n"episode,2', "line 2: unexpected end of data"),
-        (b"", "line 1: there is no column 'kind'"),
         (b"kind,decision,kind\n", "line 1: a column is named twice: kind"),
     ],
 )
@@ -150,7 +145,7 @@ def test_what_cannot_be_read_names_file_and_line(content: bytes, words: str, pat
     assert words in str(error.value)
 
 
-@pytest.mark.parametrize("number", ["nan", "inf", "", "x"])
+@pytest.mark.parametrize("number", ["inf", "x"])
 def test_a_row_at_no_decision_is_named(number: str, path: Path) -> None:
     path.write_text(f"kind,decision\nepisode,1\nepisode,{number}\n")
     with pytest.raises(RequestError, match=r"metrics.csv, line 3: decision: a .*number is allowed"):
