@@ -26,8 +26,6 @@ from flipperctl.errors import ConfigError
 from flipperctl.plugging.guard import naming
 from flipperctl.plugging.randomness import global_states, moved_since
 
-_FLOAT = 4  # bytes
-
 
 def check_demand(
     network: Network,
@@ -48,38 +46,20 @@ def check_demand(
     label and privileged state. ``risk``: whether a risk is learnt.
     """
     with torch.random.fork_rng(devices=[]):
-        module = build_network(network, layout, n_actions)
-        inputs = input_size(network, layout)
-        activations = _count_activations(module, inputs)
+        build_network(network, layout, n_actions)
+    inputs = input_size(network, layout)
+    size = row_bytes(inputs, labels, privileged, risk=risk)
     require(
-        rows * row_bytes(inputs, labels, privileged, risk=risk),
+        rows * size,
         f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
         "lower it, or use fewer bins or frames",
     )
-    # The transitions of all updates; and for one update the output of every layer and its gradient.
-    numbers = 2 * drawn * inputs + 2 * batch * activations
     require(
-        _FLOAT * numbers,
+        drawn * size,
         f"agent.batch_size: {drawn // batch} times {batch:,} transitions, which are drawn at a "
         "time, take",
         "lower it, or the settings that multiply it",
     )
-
-
-def _count_activations(module: torch.nn.Module, inputs: int) -> int:
-    """Return the number of outputs of all layers without sublayers for one observation [-]."""
-    count = 0
-
-    def add(part: torch.nn.Module, inputs: object, output: object) -> None:
-        nonlocal count
-        if isinstance(output, torch.Tensor) and not any(True for _ in part.children()):
-            count += output.numel()
-
-    for part in module.modules():  # the module is discarded after this
-        part.register_forward_hook(add)
-    with torch.no_grad():
-        module.eval()(torch.zeros(1, inputs))
-    return count
 
 
 _ALONE = 1e-3

@@ -77,25 +77,8 @@ def run(words: Sequence[str] | None = None) -> int:
 
         print(f"flipperctl {__version__}")
         return 0
-    if arguments in (["--install-completion"], ["--show-completion"]):
-        _require_shell()
     with reserved_stdout() if "--json" in arguments else nullcontext():
         return run_app(app, arguments, "flipperctl")
-
-
-def _require_shell() -> None:
-    """Refuse to complete words for a shell that is not recognised; say how one is named."""
-    import shellingham
-
-    try:
-        name, _ = shellingham.detect_shell()
-    except shellingham.ShellDetectionFailure:
-        name = "that runs this"
-    if name not in (shells := ("bash", "zsh", "fish", "powershell", "pwsh")):
-        raise RequestError(
-            f"the shell {name} has no completion here; {', '.join(shells)} do: name one as in "
-            "bash -c 'flipperctl --install-completion; true'"
-        )
 
 
 def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:

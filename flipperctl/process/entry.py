@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable
@@ -31,6 +32,8 @@ STOPS = (
     signal.SIGXCPU,
 )
 """Signals by which people and schedulers stop a run, often all its processes at once."""
+_MEMORY = re.compile("can't allocate memory|out of memory")
+"""How torch says that a processor or a graphics card has no more, in a RuntimeError."""
 DEBUG = "FLIPPERCTL_DEBUG"
 """Environment variable; with 1, errors are shown with their traceback."""
 
@@ -94,7 +97,7 @@ def _described(error: BaseException) -> tuple[str, int]:
         return str(error), error.exit_code
     if missing := missing_package(error):
         return missing, MissingExtraError.exit_code
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or _MEMORY.search(str(error)):
         return f"there is not enough memory: {error}", FlipperctlError.exit_code
     if isinstance(error, OSError) and error.errno:  # what the system refuses is no fault of ours
         place = error.filename or "the system refuses"

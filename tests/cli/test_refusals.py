@@ -67,7 +67,6 @@ train rewards=paper '~rewards.flipper' '~rewards.pitch' rewards.end.weight=0 \
 train agent.replay_size=10000000 train.decisions=1000000000 perception.bins=101 \
     network=stacked network.window=16 \
     -> agent.replay_size | 10,000,000 transitions of 3280 numbers | 266.2 GB
-train agent.batch_size=65536 'network.terrain=[50000,100]' -> agent.batch_size | 65,536 | GB
 eval --controller planner controller.widht=5 -> controller.widht | 'width' | budget
 train sim.substep=0.003 -> sim | substep must divide 0.01
 train --resume nowhere -> nowhere | no such run
