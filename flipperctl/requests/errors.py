@@ -25,6 +25,7 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import CHOICES, missing_entry
 from flipperctl.config.merge import MISSING, find
+from flipperctl.config.sampled import SECTIONS
 from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, MissingExtraError, RequestError
 from flipperctl.requests.request import Request
@@ -132,6 +133,10 @@ def _unknown(key: str, node: Mapping[str, Any]) -> str:
             f"{key}: a learner is chosen by its name, agent=NAME ({names}), and its settings "
             "follow as agent.SETTING"
         )
+    name = key.removeprefix("randomise.")
+    for sampled in SECTIONS:
+        if section == "randomise" and name in (node.get(sampled) or {}):
+            return f"{key}: there is no such key (did you mean randomise.{sampled}.{name}?)"
     if section not in node and section in TrainConfig.model_fields.keys() - {"seed"}:
         return f"{key}: it belongs to a training, and has no meaning here"
     return explain_unknown_key(key, node)
