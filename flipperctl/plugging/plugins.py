@@ -54,7 +54,7 @@ def load(paths: Iterable[str | Path] = ()) -> None:
             taken. One of an earlier call that fails now is forgotten instead.
     """
     # Installed plugins, each tried once
-    _load_group(GROUP)
+    load_installed()
 
     # Paths of this call must load; earlier ones that fail by now are forgotten.
     named = [str(Path(at_home(p)).absolute()) for p in paths]
@@ -64,6 +64,11 @@ def load(paths: Iterable[str | Path] = ()) -> None:
         for path in dict.fromkeys([*configured_paths(), *named])
         if _load_path(Path(path), required=path in required)
     ]
+
+
+def load_installed() -> None:
+    """Import every installed plugin, and no file of a user."""
+    _load_group(GROUP)
 
 
 def load_commands() -> None:
@@ -97,10 +102,10 @@ def _load_group(group: str) -> None:
         tried = entry.value in _loaded or entry.value in {package.module for package in broken}
         decorated = registry.get(("command", entry.name.replace(".", " ")))
         if not (tried or (decorated is not None and decorated.__module__ == entry.module)):
-            _load_installed(entry)
+            _load_entry(entry)
 
 
-def _load_installed(entry: EntryPoint) -> None:
+def _load_entry(entry: EntryPoint) -> None:
     """Import an entry point; one that fails is remembered as broken."""
     package, registered = entry.dist.name if entry.dist else "?", dict(registry)
     tried: set[str] = set()

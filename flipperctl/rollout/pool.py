@@ -36,7 +36,7 @@ POLL = 0.1
 """Longest time between two calls of ``Stop`` during a wait for workers [s]."""
 _MAX_DEATHS = 3
 """Number of successive deaths of a worker after which its calls fail."""
-_PRELOAD = ["flipperctl.rollout.collect", "flipperctl.sim.planar.compiled"]
+_PRELOAD = ["flipperctl.rollout.preloaded"]
 """What the fork server imports once for all its workers."""
 _LONG = 2**15
 """Length from which messages go through files [B]. A process that dies while a longer one is in a
