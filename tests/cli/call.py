@@ -22,13 +22,13 @@ SUBCOMMANDS = [
 ]
 RUN = {
     "train.workers": 2,  # forked from one server; a lone worker imports torch for each training
-    "train.decisions": 300,
+    "train.decisions": 150,
     "train.validation_episodes": 2,
     "train.regret_episodes": 0,  # tests/cli/test_rewards.py has its own
-    "agent.learning_starts": 100,
-    "agent.epsilon_decisions": 200,
+    "agent.learning_starts": 60,
+    "agent.epsilon_decisions": 100,
 }
-"""A training of a second or two, with workers."""
+"""A training of a second, with workers."""
 EXACT = {**RUN, "train.mode": "exact"}
 """The same in this process alone, which computes a third less."""
 

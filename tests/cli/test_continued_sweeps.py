@@ -19,11 +19,11 @@ pytestmark = pytest.mark.slow
 
 SHORT = {
     **EXACT,
-    "train.decisions": 100,
-    "train.validate_every": 50,
+    "train.decisions": 60,
+    "train.validate_every": 30,
     "train.validation_episodes": 1,
-    "agent.learning_starts": 50,
-    "agent.batch_size": 32,
+    "agent.learning_starts": 40,
+    "agent.batch_size": 16,
 }
 WORDS = [
     "terrain=step",
@@ -53,7 +53,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert "0_seed=1" not in table  # runs that differ in their seeds alone are one row
     with (folder / "s w" / "sweep.csv").open(newline="") as file:
         first, *_ = csv.DictReader(file)
-    assert (first["job"], first["seed"], first["decisions"]) == ("0", "1", "100")
+    assert (first["job"], first["seed"], first["decisions"]) == ("0", "1", "60")
     best = json.loads((folder / "s w" / "0_seed=1" / "summary.json").read_text())["best"]
     assert (first["success_rate"], int(first["best_decision"])) == ("0.0", best["decision"])
     for name in ("pitch_variation_100hz", "pitch_variation", "t_cost"):

@@ -99,6 +99,7 @@ def test_names_words_and_anything_else(tmp_path: Path) -> None:
     assert "flipperctl map" in call("explain", "map", cwd=tmp_path).out
 
 
+@pytest.mark.long
 def test_a_contact_sheet_of_the_terrains(tmp_path: Path) -> None:
     done = call("list", "terrains", "--pictures", "sheet.svg", cwd=tmp_path)
     assert done.code == 0, done.err

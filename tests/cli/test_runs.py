@@ -22,7 +22,7 @@ from tests.long.forked import differences, result
 
 pytestmark = pytest.mark.slow
 
-SHORT = {**EXACT, "train.decisions": 120, "train.validate_every": 50, "agent.learning_starts": 50}
+SHORT = {**EXACT, "train.decisions": 100, "train.validate_every": 40, "agent.learning_starts": 50}
 QUICK = ["terrain=step", *(f"{key}={value}" for key, value in SHORT.items())]
 
 

@@ -83,6 +83,7 @@ def test_the_ground_is_to_scale(env: FlipperEnv, renderer: Renderer) -> None:
         assert above_level[:, 1].max() == pytest.approx(0.3 * SCALE, abs=4)
 
 
+@pytest.mark.long
 def test_matplotlib_is_loaded_late_and_pyplot_never() -> None:
     code = (
         "import sys, flipperctl.env.flipper_env as e; assert 'matplotlib' not in sys.modules;"
