@@ -224,7 +224,7 @@ def test_eval_shows_it_everywhere(tmp_path: Path) -> None:
     [
         ("odd", "float('nan')", NonFiniteError, "measure 'odd': __call__ returned nan"),
         ("odd", "'much'", PluginFailedError, "measure 'odd': __call__ returned 'much'"),
-        ("friction", "1.0", PluginError, "files have another column or key 'friction'"),
+        ("controller", "1.0", PluginError, "files have another column or key 'controller'"),
     ],
 )
 def test_a_measure_that_fails_is_named(
