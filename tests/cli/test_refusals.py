@@ -16,6 +16,7 @@ from tests.cli.call import refused
 
 REFUSED = """
 trian -> trian | train
+eval okada randomise.friction=[0.6,1] -> did you mean randomise.sim.friction?
 eval level terrain=step,stair --film f.gif -> --film shows one scene; 2
 eval level terrain=step --episode 3 -> --episode is of a film
 eval level terrain=step --film f.gif --speed 0.3 -> multiples of 0.25
