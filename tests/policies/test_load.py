@@ -57,7 +57,6 @@ def test_a_word_is_a_controller_a_file_or_a_shipped_policy_in_this_order(
         ("runs/okada", "any", CheckpointError, "^x: runs/okada: there is no such run, file, ship"),
         ("okada", "file", CheckpointError, "file or shipped policy; names: generalist"),
         ("a" * 5000, "any", ConfigError, "there is no such run"),
-        ("level=okada", "any", ConfigError, "write okada, without level="),
         ("generalist", "controller", RequestError, "^x: controllers are allowed, and generalist"),
         ("okado", "controller", ConfigError, "^x: there is no controller plugin 'okado'"),
         (3, "any", ConfigError, "^x: a path or a name is allowed; the value is 3"),
