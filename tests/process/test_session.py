@@ -21,6 +21,8 @@ pytestmark = pytest.mark.slow
 
 PROGRAMS = {
     "command": "from flipperctl.__main__ import main; main()",
+    "nohup": "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); "
+    "from flipperctl.__main__ import main; main()",
     "runtime": "from flipperctl.runtime.__main__ import main; main()",
     "clock": "runpy.run_module('flipperctl.commands.speed', run_name='__main__')",
 }
@@ -118,11 +120,8 @@ def test_an_error_that_a_library_made_of_ctrl_c_is_ctrl_c(
 
 
 def test_who_ignores_ctrl_c_goes_on_doing_so(tmp_path: Path) -> None:
-    nohup = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); "
-    code = nohup + "from flipperctl.__main__ import main; main()"
-    process = subprocess.Popen([sys.executable, "-c", code, "inspect", "plugins"],
-                               cwd=tmp_path, stdout=subprocess.PIPE, text=True)  # fmt: skip
-    time.sleep(0.2)
+    process = start("nohup", ["inspect", "plugins"], tmp_path)
+    wait(process, 0.1)
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 0
