@@ -16,7 +16,7 @@ from flipperctl import api
 from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.export import policy
 from flipperctl.plugging import plugins
-from tests.short import short_config, trainer
+from tests.short import few, trainer
 
 pytest_plugins = ["tests.quick"]
 
@@ -65,9 +65,9 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict]:
 
 @pytest.fixture(scope="session")
 def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of a finished training run of 600 decisions; read it, never change it."""
+    """The directory of a finished training run of 300 decisions; read it, never change it."""
     folder = tmp_path_factory.mktemp("short_run")
-    trainer(short_config(), folder).run()
+    trainer(few(), folder).run()
     return folder
 
 

@@ -22,7 +22,7 @@ from flipperctl.errors import CheckpointError, WriteError
 from flipperctl.policies.trained import policy_module
 from flipperctl.training import listeners as timing
 from tests.cli.call import call
-from tests.short import short_config, trainer
+from tests.short import few, trainer
 
 
 @pytest.fixture
@@ -238,7 +238,7 @@ def changed(path: Path, name: str, tensor: torch.Tensor) -> checkpoint.Checkpoin
     ("name", "tensor", "expected"),
     [
         ("replay.reward", torch.zeros(3), r"replay is not valid: reward is float32 \(3,\); flo"),
-        ("replay.action", torch.full((600,), 9), r"replay is not valid: action is int64 \(600,\)"),
+        ("replay.action", torch.full((300,), 9), r"replay is not valid: action is int64 \(300,\)"),
         ("optimiser.third", torch.zeros(3), "there is no tensor 'third'"),
         ("online.1.joined.0.bias", torch.zeros(1), r"online is not valid: 1\.joined\.0\.bias is "),
     ],
@@ -248,7 +248,7 @@ def test_a_run_is_resumed_only_from_its_own_tensors(
 ) -> None:
     saved = changed(last, name, tensor)
     with pytest.raises(CheckpointError, match=expected):
-        trainer(short_config(), last.parents[1]).restore(saved)
+        trainer(few(), last.parents[1]).restore(saved)
 
 
 def test_weights_that_do_not_fit_are_refused(best: Path) -> None:
@@ -301,20 +301,20 @@ def test_the_learner_of_a_former_file_is_a_plugin_now(name: str) -> None:
 def test_a_run_from_before_learners_were_plugins_is_evaluated_and_not_resumed(last: Path) -> None:
     saved = checkpoint.read(last)
     state = saved.document.plain()["state"]
-    counts = {"replay_added": 600, "replay_kept": 0, "groups_added": 0}
+    counts = {"replay_added": 300, "replay_kept": 0, "groups_added": 0}
     before = {k: v for k, v in state.items() if k not in ("parts", "learner")} | counts
     agent = {"learner": "d3qn", "n_step": 3, "policy_gradient": {"clip": 0.15}}
     resign(last, {"state": before, "config.agent": agent, "config.method": None})
     old = checkpoint.read(last)
     assert policy_module(old).state_dict().keys() == saved.part("target").keys()
     with pytest.raises(CheckpointError, match=r"its state is not valid: its part online"):
-        trainer(short_config(), last.parents[1]).restore(old)
+        trainer(few(), last.parents[1]).restore(old)
 
 
 def test_the_time_continues_when_a_run_is_resumed(last: Path) -> None:
     run = last.parents[1]
     (run / timing.NAME).write_text('{"seconds": 100.0}')
-    learner = trainer(short_config(**{"train.decisions": 610}), run)
+    learner = trainer(few(**{"train.decisions": 310}), run)
     learner.restore(checkpoint.read(last))
     total = learner.run()["seconds"]
     assert 100 < total < 160
