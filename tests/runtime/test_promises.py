@@ -133,12 +133,12 @@ def test_a_device_that_falls_silent_stops_it_and_back_it_goes_on(
     build: Any, device: str, age: float
 ) -> None:
     robot = build()
-    robot.run(2.0)
-    gone = robot.run(4.0, drop=(device,))
+    robot.run(1.2)
+    gone = robot.run(2.5, drop=(device,))
     assert faults(gone) == {f"{device}_age"}
     assert first(gone, "holding") == pytest.approx(age, abs=0.2 if device == "cloud" else 0.05)
     assert first(gone, "stopped") - first(gone, "holding") == pytest.approx(1.0, abs=0.03)
-    back = robot.run(4.0)
+    back = robot.run(3.0)
     assert sum(not m.runs for m in back) * 0.02 == pytest.approx(2.0, abs=0.3)  # it stands
     assert back[-1].answer.state == "driving"
 
@@ -206,12 +206,12 @@ def test_a_clock_that_jumps_stops_at_once_until_it_is_acknowledged(
     build: Any, jump: float, stamps: bool
 ) -> None:
     robot = build()
-    robot.run(2.0)
+    robot.run(1.2)
 
     def late(device: str, message: dict[str, Any]) -> None:
         message["time"] += jump if stamps else 0.0
 
-    moments = robot.run(3.0, late, clock=lambda time: time + jump)
+    moments = robot.run(1.0, late, clock=lambda time: time + jump)
     assert {(m.answer.fault, m.answer.latched, m.runs) for m in moments} == {
         ("clock_jump", True, False)
     }
@@ -382,7 +382,7 @@ def wall(device: str, message: dict[str, Any]) -> None:
 def test_wrong_maps_and_late_attitudes_are_no_faults(build: Any, change: Any, begun: float) -> None:
     robot = build()
     robot.run(begun)
-    moments = robot.run(4.0, change)
+    moments = robot.run(3.0, change)
     assert faults(moments[25:]) == set()
     assert moments[-1].answer.state == "driving"
 
