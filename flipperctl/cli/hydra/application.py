@@ -24,6 +24,7 @@ from omegaconf import OmegaConf, read_write
 
 from flipperctl.checkpoint import results
 from flipperctl.cli.hydra.sweeps import named_by_time, register_sweepers
+from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.process import session
 from flipperctl.process.session import interrupts
@@ -92,14 +93,13 @@ def train(arguments: list[str], *, check: bool) -> None:
     # They may add other configuration files; then each job checks its own.
     checked = check and not options
     requests.check_training(several=several or bool(options))
-    if checked:
-        _check(requests)
+    configs = _check(requests) if checked else []
     flags = [_typed(name) for name in _FLAGS if parsed[name]]
     words = [*(word for option in options for word in option), *flags, *requests.words]
 
     # The error of a single run is kept from Hydra.
     errors: list[BaseException] = []
-    job = _Job(_CommandProcess.current(), checked)
+    job = _Job(_CommandProcess.current(), checked, None if several else next(iter(configs), None))
 
     def task(composed: Any) -> float | None:
         try:
@@ -191,8 +191,9 @@ def _several(parsed: Mapping[str, Any], requests: Requests) -> bool:
     return bool(several)
 
 
-def _check(requests: Requests) -> None:
-    """Refuse a wrong request before Hydra creates a directory."""
+def _check(requests: Requests) -> list[TrainConfig]:
+    """Refuse a wrong request before Hydra creates a directory; return the configurations."""
+    configs = []
     settings = requests.where(lambda key: not key.startswith("hydra") or key == SEARCH_PATH)
     # pymunk swallows a KeyboardInterrupt that is raised while it frees a body.
     with interrupts("stopping …") as stop:
@@ -200,8 +201,10 @@ def _check(requests: Requests) -> None:
             for config in compose_train(probe):
                 if not stop():
                     training_run.check(config)
+                configs.append(config)
     if stop():
         raise KeyboardInterrupt
+    return configs
 
 
 @dataclass(frozen=True)
@@ -241,6 +244,8 @@ class _Job:
     process: _CommandProcess
     checked: bool
     """Whether the command has checked the configuration and printed its notices."""
+    config: TrainConfig | None
+    """The checked configuration of a single run, so that nothing is merged twice."""
 
     def run(self, composed: Any) -> float | None:
         """Train with the composed configuration; return the objective of a search."""
@@ -253,7 +258,7 @@ class _Job:
             print_note(
                 f"note: hydra.job.chdir=true: the run stays in {Path.cwd()}, where all paths start"
             )
-        config = parse_training(composed)
+        config = self.config or parse_training(composed)
         training_run.check_device(config)
         if not self.checked:
             check_training_effect(config, from_words(settings.overrides.task))
