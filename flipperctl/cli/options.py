@@ -46,12 +46,6 @@ Overrides = Annotated[
     list[str] | None,
     typer.Argument(metavar="OVERRIDE", help="key=value, as in terrain=stair agent.gamma=0.98."),
 ]
-CheckpointFile = Annotated[
-    Path | None, typer.Option(metavar="RUN_OR_FILE", help="A run, a checkpoint or an .onnx file.")
-]
-ControllerName = Annotated[
-    str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
-]
 Picture = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.", callback=check_picture),
