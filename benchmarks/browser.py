@@ -36,12 +36,12 @@ def launch(play: Any, *, draws: bool = True) -> Any:
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """Run the browser, which draws 3-D scenes, until the block ends."""
+def chromium(*, draws: bool = True) -> Iterator[Any]:
+    """Run the browser until the block ends; ``draws``: whether it draws 3-D scenes."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as play:
-        browser = launch(play)
+        browser = launch(play, draws=draws)
         try:
             yield browser
         finally:

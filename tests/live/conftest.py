@@ -8,7 +8,7 @@ import pytest
 from benchmarks import browser
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def play() -> Iterator[Any]:
     """Yield the ``playwright`` that launches browsers."""
     if browser.installed() is None:
@@ -19,7 +19,7 @@ def play() -> Iterator[Any]:
         yield running
 
 
-@pytest.fixture(scope="package")
+@pytest.fixture(scope="module")
 def chromium(play: Any) -> Iterator[Any]:
     """Yield a browser that draws no 3-D scenes."""
     opened = browser.launch(play, draws=False)

@@ -38,7 +38,7 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium.chromium() as opened:
+    with chromium.chromium(draws=False) as opened:
         yield opened
 
 
