@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from importlib import resources
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_origin
@@ -59,7 +60,9 @@ _CHECKPOINT, _EXPORT = "flipperctl_eval_trained", "flipperctl_eval_exported"
 _TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
 _of_choices: dict[tuple[str, tuple[str, ...]], DictConfig] = {}
-"""Hydra's compositions by primary configuration and choices, until a plugin is registered."""
+"""Hydra's compositions by primary configuration and choices, until an entry changes."""
+_stored: dict[tuple[str, str], dict[str, Any]] = {}
+"""The entries in the ConfigStore by group and name."""
 Composed = TypeVar("Composed")
 
 
@@ -72,6 +75,10 @@ def register_defaults() -> None:
         return
     store = ConfigStore.instance()
     for group, name, node in entries():
+        if _stored.get((group, name)) == node:
+            continue
+        _stored[group, name] = deepcopy(node)
+        _of_choices.clear()
         # Several entries of a list may be chosen; an entry without settings adds nothing.
         package = f"{group}.{name}" if group in LISTS and node else None
         if group == Learner.kind:
@@ -85,12 +92,12 @@ def register_defaults() -> None:
                     fields[key] = OmegaConf.create(default, flags={"struct": False})
         store.store(group=group, name=name, node=node, package=package)
 
-    # What no group chooses
-    store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
-    store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
+    # What no group chooses, and no plugin changes
+    if not _registered:
+        store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
+        store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
     _registered.clear()
     _registered.update(registry)
-    _of_choices.clear()
 
 
 def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:

@@ -171,6 +171,8 @@ def test_what_a_plugin_built_is_named_by_the_plugins_beside_it() -> None:
     """The innermost call is named: that of a world, not of the planner that simulates in it."""
 
     class World:
+        def command(self, *given: object) -> None: ...
+
         def advance(self, *given: object) -> None:
             raise IndexError("seven")
 
