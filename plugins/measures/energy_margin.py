@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Transition, measure
 
@@ -51,21 +50,15 @@ def _computed(episode: Sequence[Transition]) -> FloatArray:
     # All poses at once, since the ground around each takes the most time to find
     position = np.array([s.position for s in states])
     pitch, front, rear = np.array([(s.pitch, s.front, s.rear) for s in states]).T
-    angles = pitch, pitch + front, pitch - rear
-    forward, front, rear = (np.column_stack([np.cos(a), np.sin(a)]) for a in angles)  # (M, 2)
+    angles = np.array([pitch, pitch + front, pitch - rear])
+    forward, front, rear = np.stack([np.cos(angles), np.sin(angles)], axis=-1)  # each (M, 2)
     poses = contacts(profile, robot, position, (forward, front, rear), _TOUCH)
     centre = centre_of_mass(robot, forward, poses.front, poses.rear)
-    barriers = [_barriers(poses.touching, poses.x, poses.z, centre, side) for side in (1.0, -1.0)]
-    return np.minimum(*barriers)
-
-
-def _barriers(
-    touching: NDArray[np.bool_], x: FloatArray, z: FloatArray, centre: FloatArray, side: float
-) -> FloatArray:
-    """Return the rise [m] until the robot tips over its outermost contact on a side, (M,)."""
-    outermost = np.argmax(np.where(touching, side * x, -np.inf), axis=1)
-    rows = np.arange(len(x))
-    across = side * (x[rows, outermost] - centre[:, 0])
-    above = centre[:, 1] - z[rows, outermost]
-    stands = touching[rows, outermost] & (across > 0)
-    return np.where(stands, tipping_rise(across, above), 0.0)
+    # Tipping ahead over the foremost contact, and back over the rearmost one
+    rows, sides = np.arange(len(states)), np.array([[1.0], [-1.0]])
+    outermost = np.where(poses.touching, sides[..., None] * poses.x, -np.inf).argmax(axis=-1)
+    across = sides * (poses.x[rows, outermost] - centre[:, 0])
+    above = centre[:, 1] - poses.z[rows, outermost]
+    stands = poses.touching[rows, outermost] & (across > 0)
+    least: FloatArray = np.where(stands, tipping_rise(across, above), 0.0).min(axis=0)
+    return least
