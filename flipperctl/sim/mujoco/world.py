@@ -78,9 +78,7 @@ class Tracks:
         """Drive the belts of the ``built`` model."""
         self._model, self._belts, self._sides = built
         self._gain, self._speed, self._friction = sim.heading_gain, robot.track_speed, sim.friction
-        self._force = robot.track_force
-        if self._force is not None:  # a contact has the larger friction of its two shapes
-            self._model.geom_friction[self._sides == 0, 0] = 0.0
+        self._force, self._places = robot.track_force, self._sides.astype(np.intp)
         self.share = 1.0
         """Share of the robot's speed at which the belts run, from -1 to 1 [-]."""
         self.are_limited = self._force is not None
@@ -112,7 +110,7 @@ class Tracks:
         # Contacts that the solver left out have no force.
         active = data.contact.efc_address >= 0
         normal = data.efc_force[data.contact.efc_address[active]]  # (C,) [N]
-        sides = self._sides[data.contact.geom[active]].sum(axis=1)  # (C,), the ground has 0
+        sides = np.add.reduce(self._sides[data.contact.geom[active]], axis=1)  # the ground has 0
         rate = SAMPLE_PERIOD / _AVERAGING
         left, right = (
             (1 - rate) * before + rate * float(normal[sides == side].sum())
@@ -124,9 +122,9 @@ class Tracks:
         """Take the averaged normal forces [N], and set the friction that follows from them."""
         self.pressed = pressed
         if self._force is not None:
-            for side, force in zip(_SIDES, pressed, strict=True):
-                usable = min(self._friction, self._force / 2 / max(force, 1e-9))
-                self._model.geom_friction[self._sides == side, 0] = usable
+            usable = (min(self._friction, self._force / 2 / max(n, 1e-9)) for n in pressed)
+            # A contact has the larger friction of its two shapes. Place -1, the right, is the last.
+            self._model.geom_friction[:, 0] = np.array([0.0, *usable])[self._places]
 
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
