@@ -6,9 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from flipperctl.config import TrainConfig
 from flipperctl.text.files import check_output
-from flipperctl.views.card import CARD, MEASURES, StoredRow, _changed, limits, results
+from flipperctl.views.card import CARD, MEASURES, StoredRow, limits, results
 from tests.cli.call import call
 
 EVAL = ("eval", "generalist", "--baseline", "level", "terrain=flat")
@@ -72,10 +71,6 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     done = call("card", "mpc_value", "found", cwd=tmp_path)
     assert done.code == 2
     assert "found: it holds results of generalist, not of" in done.err
-
-
-def test_a_training_at_its_defaults_changes_nothing() -> None:
-    assert _changed(TrainConfig(terrain="step", network="mlp")) == {}
 
 
 ENDS = (1.25, 1.0, 1.5)

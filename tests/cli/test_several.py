@@ -1,7 +1,6 @@
 """``eval`` of several policies and of sweeps: one table, equal episodes, what is missing alone."""
 
 import csv
-import hashlib
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -173,20 +172,6 @@ def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
     )
     assert told(flat, "--seed", "3", "--episodes", "2") == ""  # what was there still is
     assert "okada on flat, seed 3, 2 episodes are replaced" in told(flat, "--seed", "3")
-
-
-@pytest.mark.long
-def test_the_best_known_policy_is_told_from_a_later_one_of_its_name(tmp_path: Path) -> None:
-    shipped = checkpoint.shipped_policies()
-    words = ("eval", "mine.safetensors", "okada", "terrain=step", "--episodes", "1")
-    words = (*words, "--baseline", "level", "--output", "out", "--json")
-    for name in ("mpc_value", "generalist"):  # the second one rocks more on the first step
-        (tmp_path / "mine.safetensors").write_bytes(shipped[name].read_bytes())
-        done = call(*words, cwd=tmp_path)
-        assert done.code == 0, done.err
-    digest = hashlib.sha256(shipped["mpc_value"].read_bytes()).hexdigest()
-    names = [row["controller"] for row in json.loads(done.out)["scenes"]]
-    assert [*names[:1], names[-1]] == ["mine.safetensors", f"mine.safetensors, {digest[:8]}"]
 
 
 SHIPPED = checkpoint.read(checkpoint.shipped_policies()["generalist"])

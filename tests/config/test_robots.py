@@ -93,17 +93,3 @@ def test_conditions_for_nubot_are_remarked_on():
     assert not list(notes_on_robot(EnvConfig(terrain="flat", randomise=ranges)))
     (note,) = notes_on_robot(EnvConfig(terrain="flat", randomise=ranges, robot="absolem"))
     assert "robot.flipper_length=0.448" in note
-
-
-def test_a_body_that_hides_less_than_the_chassis_is_noted() -> None:
-    def notes(**settings: Any) -> list[str]:
-        return list(notes_on_robot(EnvConfig(terrain="flat", **settings)))
-
-    robot = {"chassis_length": 1.2}
-    assert not notes(robot=robot)
-    assert not notes(perception={"occlusion": True})
-    assert not notes(robot=robot, perception={"occlusion": True, "body_length": 1.2})
-    sampled: Any = {"perception": {"occlusion": 0.5}}
-    for hidden in ({"perception": {"occlusion": True}}, {"randomise": sampled}):
-        (note,) = notes(robot=robot, **hidden)
-        assert "perception.body_length=1.2 hides all" in note

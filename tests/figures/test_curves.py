@@ -1,14 +1,13 @@
 """Learning curves over seeds, with numbers worked by hand."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flipperctl.errors import RequestError
-from flipperctl.figures.curves import column, curves_figure, over_seeds, running_mean
-from flipperctl.text.files import CsvRow, read_csv
+from flipperctl.figures.curves import curves_figure, over_seeds, running_mean
+from flipperctl.text.files import CsvRow
 
 Rows = list[CsvRow]
 
@@ -100,10 +99,3 @@ def test_running_mean_by_hand() -> None:
     values = np.array([math.nan, 1.0, 3.0, math.nan, 5.0])
     expected = [math.nan, 1.0, 2.0, 3.0, 5.0]
     assert running_mean(values, 2) == pytest.approx(np.array(expected), nan_ok=True)
-
-
-def test_a_bad_cell_is_named(tmp_path: Path) -> None:
-    (tmp_path / "metrics.csv").write_text("kind,loss\nepisode,\nepisode,high\n")
-    words = r"metrics\.csv, line 3: loss: a number is allowed; the value is 'high'"
-    with pytest.raises(RequestError, match=words):
-        column(read_csv(tmp_path / "metrics.csv"), "loss")

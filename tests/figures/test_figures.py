@@ -83,15 +83,6 @@ def test_episode_marks_the_same_poses_in_both_panels() -> None:
     assert start.get_text() == "0.0 s"
 
 
-def test_an_overturned_robot_stays_in_the_picture_and_its_swing_shows() -> None:
-    """Pitch may exceed the flippers' limit, and swings."""
-    swung = {"pitch": np.array([0.2, -0.4, 1.0]), "robot": RobotGeometry(angle_limit=0.5)}
-    below = episode_figure(trace(1.0, 3, **swung)).axes[1]
-    pitch = {str(line.get_label()): line for line in below.get_lines()}["pitch"]
-    assert np.asarray(pitch.get_ydata()) == pytest.approx(np.degrees([0.2, -0.4, 1.0]))
-    assert below.get_ylim()[1] > math.degrees(1.0)
-
-
 OF_A_USER: dict[str, Any] = {
     **matplotlib.style.library["dark_background"],
     **{"savefig.bbox": "tight", "savefig.dpi": 50, "savefig.transparent": True, "figure.dpi": 30},

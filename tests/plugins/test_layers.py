@@ -156,18 +156,6 @@ def test_a_small_hole_in_the_floor_below_a_ceiling_is_bridged(
 
 
 @pytest.mark.parametrize(
-    "wall",
-    [sheet(5, 5.1, 1.3), solid(((5, 0, -0.1), (5.1, 3, 1.3))), solid(((5, 0, 0), (5.1, 3, 2.5)))],
-)
-def test_a_narrow_wall_below_a_ceiling_is_no_hole(wall: Trimesh, tmp_path: Path) -> None:
-    file = tmp_path / "wall.obj"
-    floor = [sheet(0, 4.99, 0), sheet(5.11, 8, 0), solid(((0, 0, 2.5), (8, 3, 2.6)))]
-    write(file, concatenate([*floor, wall]))
-    found = terrain_of(file, **LONG).generate(np.random.default_rng(0))
-    assert found.points[:, 1].max() >= 1.3
-
-
-@pytest.mark.parametrize(
     ("value", "fields"), [(-9999, {}), (-32768, {}), (3.4028235e38, {}), (77.0, {"no_data": 77.0})]
 )
 def test_missing_values_of_a_map_are_unknown_ground(

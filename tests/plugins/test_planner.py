@@ -48,25 +48,6 @@ def test_the_weight_of_smoothness_trades_time_for_smoothness() -> None:
     assert smooth["pitch_variation_100hz"] < fast["pitch_variation_100hz"]
 
 
-def test_a_result_says_what_the_search_did() -> None:
-    row = planned(FlipperEnv("step"), budget=3000)
-    assert (row["search_width"], row["search_budget"]) == (6, 3000)
-    assert row["search_source"] in {"level", "okada", "mpc", "beam", "doubled", "short", "improved"}
-    # A search ends within the stretch in which its budget is spent: 2 · 6 nodes, 9 actions each.
-    assert 0 < row["search_decisions"] < 3000 + 200
-    assert row["search_doubled_gain"] >= 0.0
-
-
-def test_the_progress_of_the_search_never_falls() -> None:
-    env = FlipperEnv({"name": "step", "height": 0.1})
-    env.reset(seed=0)
-    fractions: list[float] = []
-    built({**QUICK, "budget": 300}).reset(env.simulator(fractions.append))
-    assert len(fractions) > 3
-    assert fractions == sorted(fractions)
-    assert 0 <= fractions[0] < fractions[-1] == 1
-
-
 def test_a_plan_is_read_from_its_last_action_back_to_the_root() -> None:
     def nodes(parents: list[int], actions: list[int]) -> planner._Nodes:
         some = np.zeros(len(parents))

@@ -162,14 +162,6 @@ def test_a_camera_s_frame_is_turned_upright(tmp_path: Path) -> None:
     assert_block(profile(file, up="-y", **LINE), 0.02)
 
 
-def test_unknown_heights_at_the_ends_of_a_file_are_left_out_with_a_remark(tmp_path: Path) -> None:
-    file = tmp_path / "ends.csv"
-    file.write_text("x,z\n-4,nan\n0,0\n1,0.1\n2,0\n2.1,nan\n")
-    found = resolver.create("terrain", {"name": "profile_file", "path": str(file)}, "terrain")
-    assert found.notices() == (f"{file}: no height is known from x = -4 to 0, which is left out",)
-    assert found.generate(np.random.default_rng(0)).end == pytest.approx(2.0)
-
-
 @pytest.mark.parametrize(
     ("name", "content", "text"),
     [

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra.core.config_store import ConfigStore
 
 from flipperctl.cli.reward import controller_fields
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict, with_overrides
@@ -84,11 +83,6 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
     assert (other.sim.friction, other.perception.noise, other.eval.episodes) == (0.9, 0.02, 7)
 
 
-def test_a_mapping_of_sampled_settings_has_no_effect() -> None:
-    with pytest.raises(ConfigError, match=r"^sim=\{friction:0\.7.*: it has no effect"):
-        compose_train(["terrain=flat", "conditions=varied", "sim={friction:0.7,gravity:9}"])
-
-
 def test_the_taught_experiment_takes_any_teacher() -> None:
     (own,) = compose_train(["experiment=taught"])
     assert to_dict(own.teacher.controller) == {**MPC, "beam": 4, "horizon": 8, "of_each": 1}
@@ -146,15 +140,6 @@ def test_the_preset_is_that_of_the_environment() -> None:
     assert own["rewards"] == preset("tuned")
     words = ("controller.rewards=tuned", "rewards=paper")
     assert controller_of(*words)["rewards"] == preset("tuned")
-
-
-def test_a_preset_of_a_plugin_counts() -> None:
-    terms = {"calm": {"name": "travel", "weight": 2.0}}
-    ConfigStore.instance().store(group="rewards", name="calm_one", node=terms, package="rewards")
-    try:
-        assert controller_of("controller.rewards=calm_one")["rewards"] == terms
-    finally:
-        del ConfigStore.instance().repo["rewards"]["calm_one.yaml"]
 
 
 def test_a_teacher_has_presets_with_the_discount_of_the_training() -> None:

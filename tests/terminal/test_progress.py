@@ -30,19 +30,6 @@ def test_the_time_left_is_that_of_the_recent_rate_and_not_told_before_it_is_know
     ]
 
 
-def test_a_bar_is_quiet_about_what_it_does_not_know(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(progress.sys.stderr, "isatty", lambda: True)
-    bar = progress.TrainingProgress(1000, 0)
-    bar.episode({**ROW, "decision": 500})
-    bar.close()
-    assert "500/1000 decisions" in (shown := capsys.readouterr().err)
-    assert "left" not in shown
-    assert "–" not in shown
-
-
 def test_an_evaluation_never_shows_more_than_its_total(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

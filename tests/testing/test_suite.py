@@ -1,10 +1,9 @@
 """The faults that the conformance suite finds, and the messages that an author reads."""
 
-import math
 import unittest
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -220,21 +219,6 @@ def test_an_array_form_that_differs_is_described(
 
 def test_every_outcome_is_recorded() -> None:
     assert {t.outcome for t in transitions()} == {None, *Outcome}
-
-
-@pytest.mark.usefixtures("registry")
-def test_a_measure_of_maps_is_called() -> None:
-    class Mine(api.Measure):
-        """A measure that fails."""
-
-        unit = "m"
-        digits = 1
-        mapped_only = True
-
-        def __call__(self, episode: Any) -> float:
-            return math.inf
-
-    assert "it must return a finite number" in failure(Mine, "values")
 
 
 def described(**field: object) -> type[Terrain]:

@@ -140,10 +140,3 @@ def test_wrong_folders_and_foreign_files_are_refused(tmp_path: Path) -> None:
     assert (done.code, done.err) == (0, "wrote good/report.html\n")
     assert "These results have no traces of episodes" in (good / report.FILE).read_text()
     assert call("report", "good", cwd=tmp_path).code == 0  # an earlier report is replaced
-
-
-def test_an_evaluation_keeps_a_foreign_page(tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / report.FILE).write_text("my page")
-    flat = ("eval", "level", "terrain=flat", "--episodes", "1", "--output", "out")
-    assert "out/report.html exists and is kept" in refused(*flat, cwd=tmp_path)
