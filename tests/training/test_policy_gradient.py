@@ -63,8 +63,9 @@ def test_a_round_longer_than_the_replay_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_workers_draw_too_and_draws_become_sharper_towards_the_end(tmp_path: Path) -> None:
-    sharper = {"agent.temperature_end": 0.001, "train.mode": "fast"}
-    made = trainer(setup("gradient", **sharper), tmp_path)
+    more = {"train.decisions": 800, "train.validate_every": 800, "agent.decisions": 100}
+    sharper = {"agent.temperature_end": 0.001, "train.mode": "fast", **more}
+    made = trainer(few(**{**GRADIENT, **sharper}), tmp_path)
     made.run()
     assert isinstance(made.learning, GradientLearning)
     replay = made.learning.replay
