@@ -2,9 +2,8 @@
 
 An update samples the replay, takes one gradient step and makes a soft update of the target
 network, on one torch thread. A call of the learner makes ``agent.updates_together`` updates, as in
-training, from ``agent.candidates`` times as many transitions, and with the privileged baseline if
-the training has one. The gradient steps of a call are counted. With another ``device`` it is
-measured there, too.
+training, by priorities and with the privileged baseline if the training has them. The gradient
+steps of a call are counted. With another ``device`` it is measured there, too.
 """
 
 from __future__ import annotations
@@ -98,7 +97,11 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     """Return a replay with ``count`` one-step transitions of a random policy."""
     size = input_size(config.network, config.perception)
     privileged = config.agent.privileged(config)
-    replay = Replay(count, size, 1, config.agent.gamma, privileged=SIZE if privileged else 0)
+    replay = Replay(
+        *(count, size, 1, config.agent.gamma),
+        privileged=SIZE if privileged else 0,
+        prioritised=isinstance(config.agent, D3qn) and config.agent.priority > 0,
+    )
     rng, number = np.random.default_rng(seed), itertools.count()
     env = FlipperEnv(config=config.environment())
     policy = FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS))))
@@ -133,10 +136,9 @@ def contestant(config: TrainConfig, replay: Replay, batch_size: int, seed: int) 
         privileged=SIZE if config.agent.privileged(config) else 0,
     )
     rng = np.random.default_rng(seed)
-    rows = agent.candidates * settings.updates_together * batch_size
 
     def update() -> float:
-        return agent.update(replay.sample(rows, rng), 0.0)
+        return agent.update_from(replay, rng, 0.0)
 
     before = agent.optimiser.steps
     update()

@@ -47,30 +47,21 @@ def difference_targets(
     return double_q_target(reward, batch.discount, values, target(batch.next_observation))
 
 
-def difference_loss(online: torch.nn.Module, batch: Batch, targets: torch.Tensor) -> torch.Tensor:
+def difference_loss(
+    online: torch.nn.Module, batch: Batch, targets: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the Huber loss between the outputs for the batch's actions and their targets.
 
-    Quantiles learn by quantile regression (Dabney et al. 2018).
+    Quantiles learn by quantile regression (Dabney et al. 2018). The second result are the sizes of
+    the temporal-difference errors, (B,), of means where there are quantiles.
     """
     if isinstance(online, Distributional):
         rows = torch.arange(len(batch.action), device=batch.action.device)
         quantiles = online.quantiles(batch.observation)[rows, batch.action]
-        return quantile_huber(quantiles, targets, batch.weight)
-    return huber(_of_actions(online, batch), targets, batch.weight)
-
-
-def difference_errors(online: torch.nn.Module, batch: Batch, targets: torch.Tensor) -> torch.Tensor:
-    """Return the sizes of the temporal-difference errors, (B,), of means where there are quantiles.
-
-    ``targets``: (B,), or (B, K) for a network with quantiles.
-    """
-    mean = targets if targets.ndim == 1 else targets.mean(dim=1)
-    return (_of_actions(online, batch) - mean).abs()
-
-
-def _of_actions(online: torch.nn.Module, batch: Batch) -> torch.Tensor:
-    values: torch.Tensor = online(batch.observation)
-    return values.gather(1, batch.action.unsqueeze(1)).squeeze(1)
+        errors = (quantiles.mean(dim=1) - targets.mean(dim=1)).detach().abs()
+        return quantile_huber(quantiles, targets, batch.weight), errors
+    values = online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
+    return huber(values, targets, batch.weight), (values - targets).detach().abs()
 
 
 _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()

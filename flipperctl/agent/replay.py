@@ -2,7 +2,8 @@
 
 In: decisions in chronological order, or ``StateGroups`` from a teacher. Out: random batches of
 (observation, action, discounted sum of n rewards, observation n decisions later, discount of its
-value), or of observations and values.
+value), or of observations and values. Each transition may have a priority, which says how often it
+is drawn.
 
 Linux grants more memory than exists and kills the process that uses it. The sizes that a
 configuration asks for are therefore compared with the free memory first.
@@ -14,7 +15,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,10 +60,11 @@ UNKNOWN: Final = -1.0
 
 
 def _columns(
-    size: int, labels: int, privileged: int, risk: bool
+    size: int, labels: int, privileged: int, risk: bool, prioritised: bool = False
 ) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
     """Return the shape and the type of a transition's row in each array of a replay."""
-    # Columns by need: a run without a teacher, privileged states or a risk pays nothing for them.
+    # Columns by need: a run without a teacher, privileged states, a risk or priorities pays nothing
+    # for them.
     row, number = ((size,), np.float32), ((), np.float32)
     layout: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
         "observation": row,
@@ -77,6 +79,8 @@ def _columns(
         layout["privileged"] = layout["next_privileged"] = ((privileged,), np.float32)
     if risk:
         layout |= {"failing": number, "resembles": ((len(LAGS),), np.float32)}
+    if prioritised:
+        layout["priority"] = number
     return layout
 
 
@@ -86,6 +90,7 @@ _LIMITS: Final[dict[str, tuple[float, float]]] = {
     "label": (0.0, 1.0),
     "failing": (UNKNOWN, 1.0),
     "resembles": (0.0, 1.0),
+    "priority": (0.0, math.inf),
 }
 """Array of a replay → its smallest and largest number."""
 
@@ -124,6 +129,8 @@ class Batch:
     """1 where the episode failed soon, else 0, or ``UNKNOWN``, (B,) float32, for a risk."""
     resembles: torch.Tensor | None = None
     """Resemblances of the newest observation to earlier ones, (B, lags) float32, for a risk."""
+    priority: torch.Tensor | None = None
+    """Priorities by which the rows were drawn, (B,) float32, if transitions have any."""
     weight: torch.Tensor | None = None
     """Weights of the rows' losses, (B,) float32 of mean 1; None: all equal."""
 
@@ -157,20 +164,25 @@ class Replay:
         risk_horizon: int = 0,
         newest: int = 0,
         cut_at_random: bool = False,
+        prioritised: bool = False,
     ) -> None:
         """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
 
         ``privileged``: length of the privileged states, 0 without them. ``risk_horizon``: number of
         decisions before a failure that ``failing`` marks, 0 without it; ``newest``: length of the
         newest observation in a row, n, which it needs. ``cut_at_random``: whether a sum of
-        rewards ends before the next random action.
+        rewards ends before the next random action. ``prioritised``: whether transitions have
+        priorities.
         """
         self.capacity, risk = capacity, risk_horizon > 0
+        self.prioritised = prioritised
         # Linux grants arrays of zeros without backing them; only absurd sizes fail here.
         try:
             self.arrays: dict[str, NDArray[Any]] = {
                 name: np.zeros((capacity, *shape), kind)
-                for name, (shape, kind) in _columns(size, labels, privileged, risk).items()
+                for name, (shape, kind) in _columns(
+                    size, labels, privileged, risk, prioritised
+                ).items()
             }
             if risk:
                 self.arrays["failing"].fill(UNKNOWN)
@@ -183,6 +195,8 @@ class Replay:
         self.added = 0
         self.kept = 0
         """Number of first transitions, which are never overwritten."""
+        self.largest = 1.0
+        """Largest priority after the last update, with which new transitions begin."""
         self._gamma = gamma
         self._pending: deque[tuple[NDArray[np.float32], int, float, _Row, _Row]] = deque()
         self._n_step, self._cut_at_random = n_step, cut_at_random
@@ -248,6 +262,7 @@ class Replay:
             "privileged": privileged,
             "next_privileged": next_privileged,
             "failing": UNKNOWN,
+            "priority": self.largest,
         }
         # Arrays that the run does not need take nothing; resemblances come with the episode's end.
         row = self._row_of(self.added)
@@ -290,6 +305,35 @@ class Replay:
         """
         rows = rng.integers(len(self) if among is None else len(among), size=size)
         return self._batch(rows if among is None else among[rows])
+
+    def sample_by_priority(
+        self, size: int, steps: int, rng: np.random.Generator, correction: float
+    ) -> tuple[NDArray[np.int64], Batch]:
+        """Return rows and their transitions, drawn in proportion to their priorities.
+
+        The draw is stratified: each of ``steps`` parts of the batch, which follow one another, has
+        transitions of the whole cumulative sum (Schaul et al. 2016, Appendix B.2.1).
+        ``correction``: exponent β of the weights (N · p)^-β, which are divided by their mean.
+        """
+        sums = np.cumsum(self.arrays["priority"][: len(self)], dtype=np.float64)
+        # One draw from each of ``size`` equal parts of the sum, dealt out to the steps in turn.
+        strata = (np.arange(size) + rng.random(size)) / size
+        dealt = strata.reshape(-1, steps).T.reshape(-1)
+        rows = np.minimum(np.searchsorted(sums, dealt * sums[-1], "right"), len(self) - 1)
+        batch = self._batch(rows)
+        assert batch.priority is not None  # as in every batch of such a replay
+        weight = batch.priority**-correction
+        return rows, replace(batch, weight=weight / weight.mean())
+
+    def set_priorities(self, rows: NDArray[np.int64], priorities: NDArray[np.floating]) -> None:
+        """Set the priorities of rows; of a row that stands there twice, the last one counts."""
+        self.arrays["priority"][rows] = priorities
+        self._measure_priorities()
+
+    def _measure_priorities(self) -> None:
+        # New transitions keep the maximum as it is, so that a restored replay has the same.
+        if self.prioritised and len(self):
+            self.largest = float(self.arrays["priority"][: len(self)].max())
 
     def newest(self, count: int) -> Batch:
         """Return the newest transitions, oldest first; fewer if the replay holds fewer."""
@@ -362,6 +406,7 @@ class Replay:
                 raise ValueError(f"{name} is not finite, or lies outside of {least:g} to {most:g}")
             wanted[:] = values
         self.added, self.kept = added, protected
+        self._measure_priorities()
         self.drop_pending()
 
 

@@ -1,4 +1,4 @@
-"""Conversion of checkpoints from before learners were plugins, and of short names of settings."""
+"""Conversion of checkpoints whose learners were no plugins, or whose settings had other names."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 from flipperctl.api import registry
 from flipperctl.config.sampled import FIRST, SECTIONS
 
+_PRIORITY = 0.6
 _STATE = ("replay_added", "replay_kept", "groups_added")
 
 
@@ -19,8 +20,15 @@ def current(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """
     config = with_paths(config)
     agent, method = config.get("agent"), config.get("method")
+    if not isinstance(agent, Mapping):
+        return config
+    # Before, errors were computed anew for some candidates, and a run of those cannot be resumed.
+    if (candidates := agent.get("candidates")) is not None:
+        agent = {key: value for key, value in agent.items() if key != "candidates"}
+        agent |= {"priority": _PRIORITY} if candidates != 1 else {}
+        config = {**config, "agent": agent}
     # A learner with a name is a plugin already.
-    if not isinstance(agent, Mapping) or "name" in agent:
+    if "name" in agent:
         return config
     # The learner keeps the settings that it still has; engines lose the one that is fixed.
     name = "sb3" if method else agent.get("learner", "d3qn")

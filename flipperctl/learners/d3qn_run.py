@@ -91,6 +91,7 @@ class DoubleQLearning(PairLearning):
             risk_horizon=settings.risk_horizon if settings.risk else 0,
             newest=training.layout.size,
             cut_at_random=settings.cut_at_random,
+            prioritised=settings.priority > 0 and not teacher.teaches,
         )
         super().__init__(training, agent, replay, settings.bootstrap_outcomes)
         self._settings, self._valued = settings, ValueTargets(teacher)
@@ -118,14 +119,13 @@ class DoubleQLearning(PairLearning):
         super().add(step, decision)
         self._valued.add(step)
         # Several updates fall due at once, so that one forward pass computes the targets of all.
-        settings, together, rng = self._settings, self._settings.updates_together, self._sample_rng
+        settings, together = self._settings, self._settings.updates_together
         due = decision % (settings.update_every * together) == 0
         # Recorded decisions fill the replay already, and count as driven.
         begun = decision + self.replay.kept >= settings.learning_starts
         if due and begun and len(self.replay):
-            batch = self.replay.sample(self.agent.candidates * together * settings.batch_size, rng)
-            valued = self._valued.batches(together, rng)
-            self.loss = self.agent.update(batch, decision / self.training.decisions, valued)
+            fraction, valued = decision / self.training.decisions, self._valued.batches
+            self.loss = self.agent.update_from(self.replay, self._sample_rng, fraction, valued)
             self.updates += together
 
     def finish(self, stop: Callable[[], bool]) -> bool:

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from typing import Final
 
+import numpy as np
 import torch
 
 from flipperctl.agent.contract import check_demand
@@ -26,13 +26,8 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.networks import (
-    difference_errors,
-    difference_loss,
-    difference_targets,
-    seeded,
-)
-from flipperctl.agent.replay import Batch, GroupBatch
+from flipperctl.agent.networks import difference_loss, difference_targets, seeded
+from flipperctl.agent.replay import Batch, GroupBatch, Replay
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig
 from flipperctl.env.privileged import SIZE
@@ -40,16 +35,6 @@ from flipperctl.errors import NonFiniteError
 from flipperctl.learners.pair import NetworkPair
 from flipperctl.learners.settings import D3qnSettings, linear
 
-_PRIORITY: Final = 0.6
-"""Exponent of an error in the probability that an update learns from it [-] (α of Schaul et al.
-2016)."""
-_CORRECTION: Final = 0.5
-"""Exponent of that probability in the weight of the loss [-] (their β, constant): 1 would take all
-of the preference back in the mean."""
-_SMALLEST: Final = 0.02
-"""Added to an error, so that none is never learnt from, in scaled rewards [-]."""
-_LARGEST: Final = 1e9
-"""In place of an error that is not finite: it is chosen, and then refused by its loss."""
 PULL: Final = 0.01
 """Weight of the baseline's mean squared output in the loss [-]. What the observation tells then
 becomes part of the acting network's values, whose mean would otherwise be arbitrary."""
@@ -110,6 +95,8 @@ class DoubleQ(NetworkPair):
 
     settings: D3qnSettings
 
+    _errors: list[torch.Tensor]
+    """Sizes of the temporal-difference errors of each step of the last update, (B,)."""
     baselines: Baselines | None = None
     curiosity: Curiosity | None = None
 
@@ -129,26 +116,55 @@ class DoubleQ(NetworkPair):
         self._parts["baselines"] = self.baselines = Baselines(inputs, privileged).to(self.device)
         return [(self.baselines.online, self.baselines.target)]
 
-    @property
-    def candidates(self) -> int:
-        """Transitions drawn for each one that an update learns from [-]; 1 with a teacher."""
-        return self.settings.candidates if self._teacher is None else 1
+    def update_from(
+        self,
+        replay: Replay,
+        rng: np.random.Generator,
+        fraction: float,
+        valued: Callable[[int, np.random.Generator], Sequence[GroupBatch]] = lambda *_: (),
+    ) -> float:
+        """Take ``updates_together`` gradient steps from a replay; return the last loss [-].
 
-    def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
+        Priorities are set by the new errors. ``valued``: returns valued states for so many steps.
+        """
+        s, steps = self.settings, self.settings.updates_together
+        size = steps * s.batch_size
+        if not replay.prioritised:
+            batch = replay.sample(size, rng)
+            return self.update(batch, fraction, valued(steps, rng))
+        # Risk and curiosity learn from transitions in their true frequencies.
+        uniform = replay.sample(size, rng) if s.risk or s.curiosity else None
+        rows, batch = replay.sample_by_priority(size, steps, rng, s.priority_correction)
+        loss = self.update(batch, fraction, uniform=uniform)
+        # The priority of an error δ is (|δ| + ε)^α (Schaul et al. 2016, Eq. 1).
+        errors = torch.cat(self._errors).cpu().numpy()
+        replay.set_priorities(rows, (errors + s.priority_floor) ** s.priority)
+        return loss
+
+    def update(
+        self,
+        batch: Batch,
+        fraction: float,
+        groups: Sequence[GroupBatch] = (),
+        uniform: Batch | None = None,
+    ) -> float:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
 
-        ``batch`` holds ``candidates`` times the transitions of one or more steps; their targets
-        are all computed before the first step. ``fraction``: completed part of the run, 0 to 1,
-        which sets the learning rate and the weight of the labels. ``groups``: valued states for
-        each step.
+        ``batch`` holds the transitions of one or more steps, whose targets are all computed before
+        the first step. ``fraction``: completed part of the run, 0 to 1, which sets the learning
+        rate and the weight of the labels. ``groups``: valued states for each step. ``uniform``: as
+        many transitions of true frequencies for risk and curiosity; None: those of ``batch``.
         """
         with seeded(self.device, self._seed, self.optimiser.steps):  # equal in a resumed run
-            return self._update(batch, fraction, groups)
+            return self._update(batch, fraction, groups, batch if uniform is None else uniform)
 
-    def _update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch]) -> float:
+    def _update(
+        self, batch: Batch, fraction: float, groups: Sequence[GroupBatch], uniform: Batch
+    ) -> float:
         s, teacher = self.settings, self._teacher
         rate = linear(s.learning_rate, s.learning_rate_end, fraction)
-        batch = batch.to(self.device)
+        batch, uniform = batch.to(self.device), uniform.to(self.device)
+        self._errors = []
         # New noise in both networks for the targets; each step below draws new noise for its loss.
         self._noise.draw(self.noise_rng)
         self._target_noise.draw(self.noise_rng)
@@ -166,10 +182,6 @@ class DoubleQ(NetworkPair):
             )
             if self.baselines is not None:
                 targets = self.baselines.with_next(targets, batch)
-            # The risk and the curiosity learn from the uniform draw, whose frequencies are true.
-            uniform = batch
-            if self.candidates > 1:
-                batch, targets = self._prioritised(batch, targets)
         # Dropout and batch statistics act in the loss, and nowhere else.
         self.online.train()
         value = 0.0
@@ -195,29 +207,13 @@ class DoubleQ(NetworkPair):
         self._noise.acts()
         return value
 
-    def _prioritised(self, batch: Batch, targets: torch.Tensor) -> tuple[Batch, torch.Tensor]:
-        """Choose the transitions to learn from, larger errors more often, and weight their losses.
-
-        Prioritised replay (Schaul et al. 2016, "Prioritized experience replay") remembers each
-        transition's last error. Here the errors of a random part of the replay are computed anew.
-        """
-        # Priorities follow the error of the acting network, without the baseline's part.
-        left = targets
-        if self.baselines is not None:
-            left, _ = self.baselines.without_present(targets, batch)
-        errors = difference_errors(self.online, batch, left).nan_to_num(_LARGEST, posinf=_LARGEST)
-        # Drawn without replacement, with probabilities proportional to (|δ| + ε)^α.
-        chances = (errors + _SMALLEST) ** _PRIORITY
-        rows = torch.multinomial(chances, len(targets) // self.candidates)
-        # Importance weights (N·p)^-β, of mean 1 so that the size of a step stays.
-        weight = (chances.mean() / chances[rows]) ** _CORRECTION
-        return replace(batch.rows(rows), weight=weight / weight.mean()), targets[rows]
-
     def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
-        if self.baselines is None:
-            return difference_loss(self.online, batch, target)
-        left, pull = self.baselines.without_present(target, batch)
-        return difference_loss(self.online, batch, left) + pull
+        left, pull = target, None
+        if self.baselines is not None:
+            left, pull = self.baselines.without_present(target, batch)
+        loss, errors = difference_loss(self.online, batch, left)
+        self._errors.append(errors)
+        return loss if pull is None else loss + pull
 
     def _loss(
         self, batch: Batch, target: torch.Tensor, fraction: float, groups: GroupBatch | None
@@ -253,8 +249,8 @@ class DoubleQ(NetworkPair):
 
 def check_memory(settings: D3qnSettings, config: TrainConfig, decisions: int) -> None:
     """Check that the network, the replay of ``decisions`` and the batches fit into memory."""
-    # Targets of all updates in a row, and candidates of which one is kept, are drawn at a time.
-    drawn = settings.candidates * settings.updates_together * settings.batch_size
+    # The transitions of all updates in a row are drawn at a time.
+    drawn = settings.updates_together * settings.batch_size
     check_demand(
         config.network,
         config.perception,

@@ -126,12 +126,22 @@ class D3qnSettings(PairSettings):
         description="weight of a reward for transitions that networks beside the policy cannot "
         "predict yet (ICM, Pathak et al. 2017); 0: none. It needs agent.n_step=1 [-]",
     )
-    candidates: int = Field(
-        1,
-        ge=1,
-        le=64,
-        description="transitions drawn for each one that an update learns from; those with larger "
-        "errors are chosen more often (prioritised replay); 1, or a teacher: none is preferred [-]",
+    priority: Share = Field(
+        0.0,
+        description="exponent of a transition's last error in the probability that an update "
+        "learns from it (prioritised replay); 0, or a teacher: all are alike [-]",
+    )
+    priority_correction: Share = Field(
+        0.5,
+        description="exponent of that probability in the weight of the loss: 1 takes the whole "
+        "preference back in the mean [-]",
+    )
+    priority_floor: float = Field(
+        0.02,
+        gt=0,
+        le=1e6,
+        description="added to each error, so that no transition is never learnt from, in scaled "
+        "rewards [-]",
     )
     learning_starts: int = Field(
         1000,

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from flipperctl.agent.losses import searched_values, teacher_large_margin
-from flipperctl.agent.replay import Batch, GroupBatch
+from flipperctl.agent.replay import Batch, GroupBatch, Replay
 from flipperctl.api import Network, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import join
@@ -145,37 +145,55 @@ def test_updates_together_equal_single_ones_where_no_target_depends_on_the_netwo
     assert together.optimiser.steps == alone.optimiser.steps == 2
 
 
-def test_transitions_with_large_errors_are_learnt_first_with_lower_weights() -> None:
-    agent = learner("mlp", candidates=4, batch_size=16, updates_together=1, reward_scale=1.0)
+def stored(batch: Batch, *, prioritised: bool = True, **columns: int) -> Replay:
+    """Return a replay with the transitions of a batch."""
+    size = len(batch.action)
+    replay = Replay(size, LAYOUT.size, 1, 0.5, prioritised=prioritised, **columns)
+    for name, tensor in batch._tensors().items():
+        replay.arrays[name][:] = tensor.numpy()
+    replay.added = size
+    if prioritised:
+        replay.set_priorities(np.arange(size), np.ones(size, np.float32))
+    return replay
+
+
+@pytest.mark.parametrize("network", ["mlp", "quantile"])
+def test_errors_of_an_update_are_the_next_priorities(network: str) -> None:
     batch = dataclasses.replace(fixed_batch(64), discount=torch.zeros(64))
+    agent = learner(network, priority=1.0, priority_floor=0.5, reward_scale=1.0, updates_together=1)
+    with torch.no_grad():  # of the mean, where there are quantiles
+        values = agent.online(batch.observation)[torch.arange(64), batch.action]
+    replay = stored(batch)
+    agent.update_from(replay, np.random.default_rng(0), 0.0)
+    # One step of 128 equally probable transitions takes two from each 64th: all of them
+    expected = (values - batch.reward).abs().numpy() + 0.5
+    assert replay.arrays["priority"] == pytest.approx(expected, rel=1e-5)
+    assert replay.largest == replay.arrays["priority"].max()
+
+
+def test_transitions_with_large_errors_are_learnt_more_often() -> None:
     surprising = torch.arange(64) % 8 == 0
-    targets = torch.where(surprising, 20.0, 0.0)
-    with torch.no_grad():  # the network's own values are near 0
-        torch.manual_seed(0)
-        chosen, of_chosen = agent._prioritised(batch, targets)
-    assert len(chosen.action) == len(of_chosen) == 16
-    assert chosen.weight is not None
-    assert chosen.weight.mean().item() == pytest.approx(1.0)
-    large = of_chosen > 0
-    assert large.sum() >= 6  # of 8; 2 if none were preferred
-    assert chosen.weight[large].max() < chosen.weight[~large].min()
-    before = agent.online(batch.observation).detach()
-    agent.update(dataclasses.replace(batch, reward=targets), 0.0)
-    moved = (agent.online(batch.observation).detach() - before).abs().sum(dim=1)
-    assert moved[surprising].mean() > moved[~surprising].mean()
-
-
-def test_with_a_teacher_no_transition_is_preferred() -> None:
-    assert learner("mlp", candidates=4).candidates == 4
-    assert learner("mlp", teacher=Teacher(controller="okada"), candidates=4).candidates == 1
+    rewards = torch.where(surprising, 20.0, 0.0)  # the network's own values are near 0
+    replay = stored(dataclasses.replace(fixed_batch(), discount=torch.zeros(64), reward=rewards))
+    agent = learner("mlp", priority=0.6, reward_scale=1.0)
+    agent.update_from(replay, np.random.default_rng(0), 0.0)
+    drawn, batch = replay.sample_by_priority(640, 1, np.random.default_rng(0), 0.5)
+    # 20^0.6 = 6 for the errors that are large; the others are about 0.5 in size.
+    assert np.isin(drawn, np.flatnonzero(surprising)).mean() > 0.5  # 1/8 of them if all were alike
+    assert batch.weight is not None
+    assert batch.weight[batch.reward > 0].max() < batch.weight[batch.reward == 0].min()
 
 
 def test_the_risk_learns_from_transitions_that_nothing_chose() -> None:
     def risk(rewards: float) -> dict[str, torch.Tensor]:
-        agent = learner("mlp", candidates=4, batch_size=16, updates_together=1, risk=True)
+        agent = learner("mlp", priority=0.6, batch_size=16, risk=True)
         marks = {"failing": torch.arange(64) % 2.0, "resembles": torch.zeros(64, len(LAGS))}
         batch = dataclasses.replace(fixed_batch(64), **marks)
-        agent.update(dataclasses.replace(batch, reward=batch.reward * rewards), 0.0)
+        batch = dataclasses.replace(batch, reward=batch.reward * rewards)
+        replay = stored(batch, risk_horizon=5, newest=LAYOUT.size)
+        rng = np.random.default_rng(0)
+        for _ in range(3):
+            agent.update_from(replay, rng, 0.0)
         assert agent.risk is not None
         return agent.risk.network.state_dict()
 
@@ -209,12 +227,11 @@ def test_the_margin_is_weighted_and_added_to_the_temporal_difference() -> None:
     assert joined.update(batch, 0.25) == pytest.approx(2 * td + 3 * margin)  # 4 · (1 - 0.25)
 
 
-@pytest.mark.parametrize("candidates", [1, 4])
-def test_a_loss_that_is_not_finite_is_an_error(candidates: int) -> None:
+def test_a_loss_that_is_not_finite_is_an_error() -> None:
     batch = fixed_batch()
     batch.reward[3] = torch.inf
     with pytest.raises(NonFiniteError, match="loss is inf"):
-        learner(candidates=candidates).update(batch, 0.0)
+        learner().update(batch, 0.0)
 
 
 def test_noise_explores_without_epsilon_and_is_off_in_a_validation() -> None:

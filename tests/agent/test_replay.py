@@ -37,6 +37,36 @@ def rows(replay: Replay) -> list[tuple[float, int, float, float, float]]:
     return [tuple(row) for row in np.column_stack(columns)[: len(replay)].tolist()]
 
 
+def test_transitions_are_drawn_in_proportion_to_their_priorities() -> None:
+    replay = Replay(4, size=2, n_step=1, gamma=0.5, prioritised=True)
+    feed(replay, [0.0, 1.0, 2.0])
+    replay.set_priorities(np.arange(3), np.array([1.0, 0.0, 3.0], np.float32))
+    rows, batch = replay.sample_by_priority(80, 2, np.random.default_rng(0), 0.5)
+    # Of each step's 40 strata a quarter lies in the first row, none in the second.
+    for step in (slice(0, 40), slice(40, 80)):
+        assert np.bincount(rows[step], minlength=3).tolist() == [10, 0, 30]
+    assert batch.reward.tolist() == rows.tolist()
+    # Weights (N p)^-1/2 for p = 1/4 and 3/4, divided by their mean
+    low, high = (3 / 4) ** -0.5, (9 / 4) ** -0.5
+    mean = (10 * low + 30 * high) / 40
+    assert batch.weight is not None
+    expected = np.where(rows == 0, low, high) / mean
+    assert batch.weight.numpy() == pytest.approx(expected, rel=1e-5)
+
+
+def test_new_transitions_have_the_largest_priority_in_a_restored_replay_too() -> None:
+    replay = Replay(3, size=2, n_step=1, gamma=0.5, prioritised=True)
+    feed(replay, [0.0, 1.0, 2.0])
+    assert replay.arrays["priority"].tolist() == [1.0, 1.0, 1.0]
+    replay.set_priorities(np.array([0, 1]), np.array([4.0, 2.0], np.float32))
+    feed(replay, [3.0])  # in place of the largest
+    other = Replay(3, size=2, n_step=1, gamma=0.5, prioritised=True)
+    other.restore(replay.filled(), replay.added)
+    for each in (replay, other):
+        feed(each, [4.0])
+        assert each.arrays["priority"].tolist() == [4.0, 4.0, 1.0]
+
+
 def test_a_running_episode_can_be_taken_back() -> None:
     replay = Replay(10, size=2, n_step=1, gamma=0.5)
     feed(replay, [1.0, 2.0])

@@ -76,9 +76,9 @@ def test_a_measure_runs(name, monkeypatch) -> None:
     assert name not in RATIOS or found["ratios"][RATIOS[name]]
 
 
-@pytest.mark.parametrize("candidates", [1, 4])
-def test_the_learner_s_updates_are_the_gradient_steps_that_it_takes(candidates: int) -> None:
-    agent = {"candidates": candidates, "updates_together": 3, "privileged_value": True}
+@pytest.mark.parametrize("priority", [0, 0.6])
+def test_the_learner_s_updates_are_the_gradient_steps_that_it_takes(priority: float) -> None:
+    agent = {"priority": priority, "updates_together": 3, "privileged_value": True}
     config = TrainConfig(terrain="flat", network="at_d3qn", agent=agent)
     contestant = learner.contestant(config, learner.fill(config, 20, 0), 8, 0)
     with patch.object(DoubleQ, "_descend", autospec=True, side_effect=DoubleQ._descend) as steps:

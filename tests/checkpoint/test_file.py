@@ -298,6 +298,25 @@ def test_the_learner_of_a_former_file_is_a_plugin_now(name: str) -> None:
     assert former.current(read) == read
 
 
+@pytest.mark.parametrize(("candidates", "priority"), [(1, None), (4, 0.6)])
+def test_candidates_of_a_former_file_are_priorities_now(
+    candidates: int, priority: float | None
+) -> None:
+    read = former.current({"agent": {"name": "d3qn", "candidates": candidates}})
+    assert read["agent"].get("priority") == priority
+    assert "candidates" not in read["agent"]
+
+
+def test_a_run_with_candidates_is_evaluated_and_not_resumed(last: Path) -> None:
+    saved = checkpoint.read(last)
+    agent = {**saved.document.plain()["config"]["agent"], "candidates": 4}
+    resign(last, {"config.agent": {k: v for k, v in agent.items() if "priority" not in k}})
+    old = checkpoint.read(last)
+    assert policy_module(old).state_dict().keys() == saved.part("target").keys()
+    with pytest.raises(CheckpointError, match="its part replay is not valid: priority is missing"):
+        trainer(old.config(), last.parents[1]).restore(old)
+
+
 def test_a_run_from_before_learners_were_plugins_is_evaluated_and_not_resumed(last: Path) -> None:
     saved = checkpoint.read(last)
     state = saved.document.plain()["state"]

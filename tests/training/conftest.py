@@ -27,6 +27,7 @@ SETUPS: dict[str, dict[str, object]] = {
         "agent.exploring_share": 0.5,
         "agent.cut_at_random": True,
         "agent.privileged_value": True,
+        "agent.priority": 0.6,
     },
     "noisy": {
         "network": "noisy",
@@ -43,6 +44,7 @@ SETUPS: dict[str, dict[str, object]] = {
         "train.record": True,
         "network": {"name": "stacked", "window": 2},
         "agent.n_step": 2,
+        "agent.priority": 0.6,
     },
     "fast": {
         "train.mode": "fast",

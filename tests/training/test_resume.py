@@ -49,6 +49,10 @@ def test_the_settings_of_the_precise_experiment_reach_the_replay(runs: Runs) -> 
     assert before.shape == after.shape == (len(tensors["replay.discount"]), SIZE)
     assert bool((after[:, TIME_LEFT] < before[:, TIME_LEFT]).all())
     assert any(name.startswith("baselines.target.") for name in tensors)
+    # Errors were remembered; transitions that no update has met have the largest.
+    assert len(tensors["replay.priority"].unique()) > 50
+    # With a teacher none is preferred.
+    assert "replay.priority" not in checkpoint.read(runs("taught") / checkpoint.LAST).tensors
 
 
 @pytest.mark.parametrize("mode", ["exact", pytest.param("fast", marks=pytest.mark.long)])
