@@ -3,6 +3,7 @@
 #   make test    sets up and runs the static checks and every test that is not marked as long
 #   make install is the first part of train: flipperctl with 3-D and the live pages
 #   make setup   adds what tests, documentation and every extra need
+#   make ros     runs the tests on real rclpy of two distributions, which it installs for them
 #   make long    runs the tests marked as long, each night; about half an hour
 #   make check runs the static checks and the quick tests, for use while one works
 #   make docs  builds the documentation in build/docs, without the network; a warning is an error
@@ -14,7 +15,7 @@ DECISIONS ?= 30000
 # Compiled modules are kept, even where the shell says otherwise: the tests start hundreds of processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install setup train check test long static tests quick-tests docs clean
+.PHONY: install setup train check test ros long static tests quick-tests docs clean
 
 install: $(VENV)/ready
 
@@ -58,6 +59,9 @@ static:
 tests:
 	$(BIN)/python -m tests.machine_code
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+ros: setup
+	$(BIN)/pytest -m ros
 
 long: setup
 	$(BIN)/python -m tests.machine_code

@@ -235,7 +235,8 @@ def disagreements() -> Iterator[str]:
         yield f"pre-commit runs {sorted(hooks)}, make static {sorted(checks)}"
     versions = [c.rpartition(" ")[2] for c in project["classifiers"] if "Python :: 3." in c]
     (job,) = _read(".github/workflows/test.yml")["jobs"].values()
-    if job["strategy"]["matrix"]["python"] != versions:
+    # The first is that of a robot's part, which a test runs beside another Python.
+    if job["strategy"]["matrix"]["python"] != versions[1:]:
         yield f"test.yml does not run on Python {versions}, which pyproject.toml classifies"
     if project["requires-python"] != f">={versions[0]}":
         yield f"requires-python is {project['requires-python']}; {versions[0]} is classified first"

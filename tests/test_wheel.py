@@ -12,6 +12,7 @@ import pytest
 from numba.core.caching import UserProvidedCacheLocator
 
 from tests.environment import Environment
+from tests.ros.test_devices import oldest_python
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -124,3 +125,20 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
     refused = environment.call(*search)
     assert refused.returncode == 2, refused.stderr
     assert "install flipperctl[optuna]" in refused.stderr
+
+
+def test_python_3_10_gets_the_part_of_a_robot(wheel: Path, tmp_path: Path) -> None:
+    if (oldest := oldest_python()) is None:
+        pytest.skip("this machine has no Python 3.10")
+    subprocess.run([oldest, "-m", "venv", tmp_path / "v"], check=True)
+    environment = Environment(tmp_path / "v", tmp_path)
+    python = environment.script("python")
+    environment.run(python, "-m", "pip", "install", "--quiet", str(wheel))
+    listed = json.loads(environment.run(python, "-m", "pip", "list", "--format=json"))
+    names = {package["name"] for package in listed}
+    assert {"flipperctl", "numpy", "onnxruntime"} <= names
+    assert not {"torch", "pydantic", "hydra-core", "pymunk"} & names
+    assert "--self-test" in environment.run(python, "-m", "flipperctl.runtime", "--help")
+    refused = environment.call(environment.script("flipperctl"), "list")
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    assert "this installation has only flipperctl.runtime" in refused.stderr

@@ -162,8 +162,8 @@ def new(
         str,
         typer.Argument(
             metavar="KIND",
-            help="terrain, reward, network, learner, controller, engine, sensor, measure, logger "
-            "or command.",
+            help="terrain, reward, network, learner, controller, engine, sensor, measure, logger, "
+            "command or robot.",
         ),
     ],
     name: Annotated[
@@ -184,8 +184,8 @@ def new(
     """Write a plugin as a starting point: one file, or with --package an installable project.
 
     KIND is terrain, reward, network, learner, controller, engine, sensor, measure, logger or
-    command. The plugin works as written and passes the conformance suite. Existing files are never
-    overwritten.
+    command. The plugin works as written and passes the conformance suite. A robot is a file of YAML
+    with its body and its devices. Existing files are never overwritten.
 
     [bold]Examples[/]
 
@@ -195,10 +195,14 @@ def new(
 
       flipperctl new controller brave --package
 
-      flipperctl new engine glider
+      flipperctl new robot rover
     """
-    from flipperctl.testing.scaffold import Draft, next_commands
+    from flipperctl.testing.scaffold import Draft, next_commands, write_robot
 
+    if kind == "robot":
+        file = write_robot(name, output)
+        print(f"wrote {file}; next:\n  flipperctl eval okada robot={file} devices={file}")
+        return
     draft = Draft(kind, name)
     written = draft.write_package(output) if package else draft.write_file(output)
     print(f"wrote {written}; next:")

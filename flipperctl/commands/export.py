@@ -20,6 +20,7 @@ class Kind(StrEnum):
     mjcf = "mjcf"
     urdf = "urdf"
     mcap = "mcap"
+    vectors = "vectors"
 
 
 def export(
@@ -38,14 +39,16 @@ def export(
     as_json: options.AsJson = False,
 ) -> None:
     """Write a policy for the robot, [bold]onnx[/]; a scene for other simulators, [bold]mjcf[/] or
-    [bold]urdf[/]; an episode as a bag of ROS 2, [bold]mcap[/].
+    [bold]urdf[/]; an episode as a bag of ROS 2, [bold]mcap[/]; [bold]vectors[/] for a port.
 
     Before a policy is saved, it is compared with torch on at least 1,000 observations of real
     rollouts; a mismatch is an error. SETTINGS are then the robot, as in robot.angle_limit=0.9, if
-    it is another than that of the training; the command prints the changes.
+    it is another than that of the training; the command prints the changes. The file of
+    devices=FILE or robot=FILE gives the policy the robot's devices.
 
     A scene or an episode is the first one of eval with the same policy, by default okada, SETTINGS
-    and seed.
+    and seed. Vectors are 200 instants of an exported file as JSON, with which a port to another
+    language is tested: what was measured, observation, Q-values, action and targets.
 
     [bold]Examples[/]
 
@@ -53,7 +56,11 @@ def export(
 
       flipperctl export onnx generalist robot.flipper_speed=0.5
 
+      flipperctl export onnx runs/first robot=mine.yaml devices=mine.yaml
+
       flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
+
+      flipperctl export vectors stair.onnx terrain=stair --output stair.json
 
       flipperctl export mcap okada sim=mujoco perception=lidar
     """  # noqa: D205  # the summary, which help prints, has two lines
@@ -70,17 +77,22 @@ def export(
     from flipperctl.cli.plan import one_scene
     from flipperctl.config.words import with_engine, with_flags
     from flipperctl.export.scene import export_scene
+    from flipperctl.export.vectors import export_vectors
     from flipperctl.ros.episode import export_bag
-    from flipperctl.terminal.tables import print_bag, print_scene
+    from flipperctl.terminal.tables import print_bag, print_scene, print_vectors
 
     words = with_flags(words, seed=seed)
-    if kind is not Kind.mcap:
+    if kind in (Kind.mjcf, Kind.urdf):
         words = with_engine(words)
     if not split_policies(words)[0]:
         words = ["okada", *words]
     entry = one_scene(words, f"export {kind}")
     config, source = entry.config, entry.source
     name = config.terrain.plugin_name
+    if kind is Kind.vectors:
+        written = export_vectors(config, source, output or Path(f"{name}.json"))
+        show(written, lambda: print_vectors(written), as_json=as_json)
+        return
     if kind is Kind.mcap:
         bag = export_bag(config, source, output or Path(name), episode)
         show(bag, lambda: print_bag(bag), as_json=as_json)
@@ -97,6 +109,7 @@ def _export_policy(
     from flipperctl.export.policy import FILE, export, robot_fields
     from flipperctl.policies.source import load_policy
     from flipperctl.requests.text import from_words
+    from flipperctl.runtime.devices import SECTION
     from flipperctl.terminal.tables import print_export
     from flipperctl.text.files import check_output
 
@@ -106,7 +119,8 @@ def _export_policy(
     name = source.label() if shipped else saved.config().terrain.plugin_name
     target = output or Path(f"{name}.onnx")
     check_output(target, FILE)
-    robot = robot_fields(from_words(words).values())
+    typed = from_words(words)
+    robot = robot_fields(typed.where(lambda key: key != SECTION).values())
     print_note(f"exporting {saved.path} and comparing it with torch …")
-    exported = export(saved, target, robot)
+    exported = export(saved, target, robot, typed.devices())
     show(exported, lambda: print_export(target, saved.path, exported), as_json=as_json)

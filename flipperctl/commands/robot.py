@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -13,7 +13,8 @@ from flipperctl.cli import options
 from flipperctl.terminal.streams import show
 
 if TYPE_CHECKING:
-    from flipperctl.config import EnvConfig
+    from flipperctl.config import EvalConfig
+    from flipperctl.runtime.devices import Devices
 
 
 class Convention(StrEnum):
@@ -38,9 +39,15 @@ BeltTopic = Annotated[
     ),
 ]
 FixedFrame = Annotated[
-    str, typer.Option(metavar="NAME", help="Frame in which the ground is at rest.")
+    str | None,
+    typer.Option(
+        metavar="NAME", help="Frame in which the ground is at rest [odom].", show_default=False
+    ),
 ]
-BaseFrame = Annotated[str, typer.Option(metavar="NAME", help="Frame of the chassis.")]
+BaseFrame = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Frame of the chassis [base_link].", show_default=False),
+]
 FrontJoints = Annotated[
     list[str] | None,
     typer.Option(
@@ -52,23 +59,48 @@ RearJoints = Annotated[
     typer.Option("--rear", metavar="JOINT", help="A joint of the rear flippers; may be repeated."),
 ]
 AngleSigns = Annotated[
-    Convention, typer.Option(metavar="NAME", help="Signs of the flippers' angles.")
+    Convention | None,
+    typer.Option(
+        metavar="NAME", help="Signs of the flippers' angles [rep103].", show_default=False
+    ),
 ]
 
 
-def recorded_robot(overrides: Sequence[str] | None) -> tuple[EnvConfig, str | None, frozenset[str]]:
-    """Return the robot and LiDAR of a recording, ``perception.pose`` and the settings given.
+class Recorded(NamedTuple):
+    """The robot of a recording."""
 
-    ``perception.pose`` is None if it is not among these.
+    config: EvalConfig
+    """Robot and LiDAR, and the scene of an evaluation."""
+    pose: str | None
+    """``perception.pose`` or that of the devices; None if neither is given."""
+    keys: frozenset[str]
+    """The settings that were given."""
+    devices: Devices
+
+
+def recorded_robot(overrides: Sequence[str] | None, usual: Devices | None = None) -> Recorded:
+    """Return the robot of a recording by the words of a command line.
+
+    ``usual``: the devices if no others are named.
     """
     from flipperctl.requests.compose import compose_environment
+    from flipperctl.requests.request import Request, Requests
     from flipperctl.requests.text import from_words
+    from flipperctl.runtime.devices import SECTION, Devices
 
-    words = list(overrides or ())
-    config = compose_environment(from_words(["perception=lidar", *words]))
-    keys = frozenset(from_words(words).typed)
-    pose = getattr(config.perception, "pose", None) if "perception.pose" in keys else None
-    return config, pose, keys
+    typed = from_words(list(overrides or ()))
+    # What the devices say of the LiDAR, in a file of their own or the robot's, counts here too.
+    devices, rest = typed.devices() or usual, typed.where(lambda key: key != SECTION)
+    words = dict(rest.typed)
+    ours = devices.perception() if devices is not None else {}
+    settings = [Request(f"perception.{n}", v) for n, v in ours.items()]
+    known = [request for request in settings if request.key not in words]
+    lidar = [] if "perception" in words else [Request("perception", "lidar")]
+    config = compose_environment(Requests.of(lidar, known, rest))
+    keys = frozenset(words)
+    given = devices is not None or "perception.pose" in keys
+    pose = getattr(config.perception, "pose", None) if given else None
+    return Recorded(config, pose, keys, devices or Devices())
 
 
 def check(
@@ -81,11 +113,11 @@ def check(
     topic: CloudTopic = None,
     imu: ImuTopic = None,
     belts: BeltTopic = None,
-    fixed_frame: FixedFrame = "odom",
-    base_frame: BaseFrame = "base_link",
+    fixed_frame: FixedFrame = None,
+    base_frame: BaseFrame = None,
     front: FrontJoints = None,
     rear: RearJoints = None,
-    signs: AngleSigns = Convention.rep103,
+    signs: AngleSigns = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Replay what a robot recorded through the estimator that runs on it: will its sensing do?
@@ -95,7 +127,8 @@ def check(
     odometry drifts. A film shows cloud, map, heights, faces, filled and unseen ground (--output
     FILE.gif), or with --at SECONDS a picture shows one instant (.png, .svg, .pdf).
 
-    OVERRIDES are the robot and the estimator, as in robot=absolem perception.pose=matched.
+    OVERRIDES are the robot, its devices and the estimator, as in robot=absolem
+    perception.pose=matched, or robot=mine.yaml devices=mine.yaml.
 
     [bold]Examples[/]
 
@@ -105,7 +138,6 @@ def check(
 
       flipperctl robot check recorded_bag --at 12 --output edge.png
     """
-    from flipperctl.ros.messages import JOINTS
     from flipperctl.ros.perceiving import replay
     from flipperctl.ros.topics import Names
     from flipperctl.terminal.progress import episodes_progress
@@ -115,9 +147,18 @@ def check(
         from flipperctl.figures.perceived import check_perceived, draw_perceived
 
         check_perceived(output, at)
-    joints = front or JOINTS[:2], rear or JOINTS[2:]
-    names = Names(topic, imu, belts, fixed_frame, base_frame, *joints, signs.value)
-    config, pose, _ = recorded_robot(overrides)
+    config, pose, _, devices = recorded_robot(overrides)
+    names = Names.of(
+        devices,
+        clouds=topic,
+        imu=imu,
+        belts=belts,
+        fixed=fixed_frame,
+        base=base_frame,
+        front=front or None,
+        rear=rear or None,
+        signs=signs and signs.value,
+    )
     replayed = replay(bag, config.perception, config.robot, pose, names)
     if output is not None:
         with episodes_progress("drawing", 1) as report:
@@ -135,10 +176,10 @@ def shadow(
     topic: CloudTopic = None,
     imu: ImuTopic = None,
     belts: BeltTopic = None,
-    base_frame: BaseFrame = "base_link",
+    base_frame: BaseFrame = None,
     front: FrontJoints = None,
     rear: RearJoints = None,
-    signs: AngleSigns = Convention.rep103,
+    signs: AngleSigns = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Run an exported policy on what a robot recorded, and log what it would have done.
@@ -148,7 +189,8 @@ def shadow(
     state. It has time, proposed targets and setpoints, whether the belts might run, state, fault
     and reason, and the angles that were measured.
 
-    OVERRIDES are widths and errors of the robot, as in perception.overall_width=0.6.
+    OVERRIDES are the robot's devices, as in devices=mine.yaml, or its widths and errors, as in
+    perception.overall_width=0.6.
 
     [bold]Examples[/]
 
@@ -156,16 +198,23 @@ def shadow(
 
       flipperctl robot shadow stair.onnx run.mcap perception.pose=matched
     """
-    from flipperctl.ros.messages import JOINTS
     from flipperctl.ros.recording import check_used, shadow
     from flipperctl.ros.topics import Names
     from flipperctl.terminal.tables import print_shadow
 
-    config, pose, keys = recorded_robot(overrides)
+    config, pose, keys, devices = recorded_robot(overrides)
     check_used(keys)
-    joints = front or JOINTS[:2], rear or JOINTS[2:]
-    names = Names(topic, imu, belts, "odom", base_frame, *joints, signs.value)
-    document = shadow(policy, bag, config.perception, pose, names, output)
+    names = Names.of(
+        devices,
+        clouds=topic,
+        imu=imu,
+        belts=belts,
+        base=base_frame,
+        front=front or None,
+        rear=rear or None,
+        signs=signs and signs.value,
+    )
+    document = shadow(policy, bag, config.perception, pose, names, output, devices.limits)
     show(document, lambda: print_shadow(document), as_json=as_json)
 
 
@@ -174,8 +223,8 @@ def ground(
     output: Annotated[Path, typer.Option(metavar="FILE.xyz", help="The file to write.")],
     overrides: options.Overrides = None,
     topic: CloudTopic = None,
-    fixed_frame: FixedFrame = "odom",
-    base_frame: BaseFrame = "base_link",
+    fixed_frame: FixedFrame = None,
+    base_frame: BaseFrame = None,
     reach: Annotated[
         float, typer.Option(min=0.5, help="Distance in m beyond which points are left out.")
     ] = 5.0,
@@ -206,10 +255,14 @@ def ground(
     from flipperctl.requests.text import from_words
     from flipperctl.ros.ground import convert
     from flipperctl.ros.topics import Names
+    from flipperctl.runtime.devices import SECTION, Devices
     from flipperctl.terminal.tables import print_ground
 
-    robot = Robot(**robot_fields(from_words(overrides or ()).values(), "robot ground"))
-    names = Names(clouds=topic, fixed=fixed_frame, base=base_frame)
+    typed = from_words(overrides or ())
+    fields = typed.where(lambda key: key != SECTION).values()
+    robot = Robot(**robot_fields(fields, "robot ground"))
+    devices = typed.devices() or Devices()
+    names = Names.of(devices, clouds=topic, fixed=fixed_frame, base=base_frame)
     document = convert(source, output, robot, names, reach, cell)
     show(document, lambda: print_ground(document), as_json=as_json)
 
@@ -219,6 +272,10 @@ def self_test(
     signs: Annotated[
         Convention, typer.Option(metavar="NAME", help="Signs of the messages.")
     ] = Convention.flipperctl,
+    devices: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The robot's devices, in place of --signs."),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> int:
     """Find wrong signs on a robot: move each part when told, and see how it was measured.
@@ -238,13 +295,69 @@ def self_test(
     """
     from dataclasses import asdict
 
-    from flipperctl.runtime.messages import CONVENTIONS, RobotSetup
-    from flipperctl.runtime.recordings import opened
+    from flipperctl.runtime.recordings import opened, setup_by
     from flipperctl.runtime.recordings import self_test as tested
 
     # The runtime's own test, with its verdicts as a document
-    setup = RobotSetup(signs=CONVENTIONS[signs.value])
+    setup = setup_by(devices, signs.value)
     test = tested(*opened(messages), setup)  # it prints what to do meanwhile
     document = {"passed": test.passed, "verdicts": [asdict(verdict) for verdict in test.verdicts]}
     show(document, lambda: None, as_json=as_json)
     return 0 if test.passed else 1
+
+
+def simulate(
+    overrides: options.Overrides = None,
+    seed: options.Seed = None,
+    episodes: Annotated[int, typer.Option(metavar="N", min=1, help="Number of episodes.")] = 1,
+    rate: Annotated[
+        float, typer.Option(metavar="R", min=0.01, help="Simulated seconds in a real one.")
+    ] = 1.0,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="Wait for the node's answer to each sample.")
+    ] = False,
+    sim_time: Annotated[
+        bool, typer.Option("--sim-time", help="Stamps of the simulator, for use_sim_time.")
+    ] = False,
+    delay: Annotated[
+        float, typer.Option(metavar="S", min=0, max=5, help="Delay of all messages in s.")
+    ] = 0.0,
+    jitter: Annotated[
+        float, typer.Option(metavar="S", min=0, max=5, help="Largest further delay in s.")
+    ] = 0.0,
+    loss: Annotated[
+        float, typer.Option(metavar="P", min=0, max=0.9, help="Share of lost messages.")
+    ] = 0.0,
+    as_json: options.AsJson = False,
+) -> None:
+    """Put a simulated robot on topics of ROS 2, to try a node before the robot.
+
+    Its LiDAR, inertial unit, encoders and belts publish as drivers do; its motors obey the joint
+    commands of any node and stand without one. OVERRIDES are as of eval, and the robot's devices:
+    names of topics, joints and frames, signs, place of the LiDAR.
+
+    It needs rclpy, as of a sourced ROS 2, or else the extra dds.
+
+    [bold]Examples[/]
+
+      flipperctl robot simulate terrain=paper_step sim=mujoco --episodes 3
+
+      flipperctl robot simulate terrain=stair robot=mine.yaml devices=mine.yaml
+
+      flipperctl robot simulate terrain=step --lockstep --json
+    """
+    from flipperctl.config.words import with_flags
+    from flipperctl.ros.simulate import Link
+    from flipperctl.ros.simulate import simulate as simulated
+    from flipperctl.runtime.devices import Devices
+    from flipperctl.terminal.streams import print_note
+    from flipperctl.terminal.tables import print_simulated
+
+    link = Link(rate, lockstep, sim_time, delay, jitter, loss)
+    words = with_flags(list(overrides or ()), seed=seed)
+    config, *_, devices = recorded_robot(words, Devices())
+    rows = []
+    for row in simulated(config, devices, link, episodes):
+        print_note(f"episode {row['episode']}: {row['outcome']}, {row['seconds']:.1f} s")
+        rows.append(row)
+    show({"episodes": rows}, lambda: print_simulated(rows), as_json=as_json)

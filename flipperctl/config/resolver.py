@@ -62,6 +62,7 @@ def named_robot(name: str) -> Robot:
             f"{where}: settings of the robot are allowed, as in chassis_length: 0.7; known: "
             f"{', '.join(Robot.model_fields)}"
         )
+    settings.pop("devices", None)  # which are not the robot's body
     return parse(Robot, settings, where)
 
 

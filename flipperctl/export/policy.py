@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import importlib
+import json
 import logging
 import re
 import warnings
@@ -44,6 +45,7 @@ from flipperctl.export.metadata import policy_metadata
 from flipperctl.plugging.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 from flipperctl.rollout.episode import EvaluationSeeds, play
+from flipperctl.runtime.devices import SECTION, Devices
 from flipperctl.runtime.interface import (
     CHECKSUM,
     OUTPUTS,
@@ -66,11 +68,14 @@ network of the risk returns."""
 
 
 def export(
-    checkpoint: Checkpoint, output: Path, robot: Mapping[str, Any] | None = None
+    checkpoint: Checkpoint,
+    output: Path,
+    robot: Mapping[str, Any] | None = None,
+    devices: Devices | None = None,
 ) -> dict[str, Any]:
     """Write the policy to ``output`` and return the result of the comparison.
 
-    ``robot``: fields of the file's robot that differ from the training's.
+    ``robot``: fields of the file's robot that differ from the training's; ``devices``: its own.
 
     Raises:
         ConfigError: there is no such field, or its value is of the wrong type or out of bounds.
@@ -87,6 +92,8 @@ def export(
     # Compared on observations of the policy's own episodes, with the robot of the file.
     observations = rollout_observations(config, module, OBSERVATIONS)
     metadata = policy_metadata(config, None if risk is None else risk.sign)
+    if devices is not None:
+        metadata[f"{PREFIX}{SECTION}"] = json.dumps(devices.to_json())
     # The exporter runs the network's code and wraps its errors.
     with naming(config.network, "forward", ExportError, while_=" (export)"):
         network = folded(module)

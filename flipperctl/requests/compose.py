@@ -26,7 +26,6 @@ from omegaconf import DictConfig, OmegaConf
 from flipperctl.api import Learner, Plugin, registry
 from flipperctl.config import (
     DEFAULT_ENGINE,
-    EnvConfig,
     EvalConfig,
     TrainConfig,
     parse,
@@ -199,8 +198,8 @@ def compose_eval(
     return scenes
 
 
-def compose_environment(requests: Requests, primary: str = EVAL_CONTROLLER) -> EnvConfig:
-    """Return the only configuration of an evaluation, as an environment's."""
+def compose_environment(requests: Requests, primary: str = EVAL_CONTROLLER) -> EvalConfig:
+    """Return the only configuration of an evaluation, which is an environment's, too."""
     config, _ = only_one(compose_eval(requests, primary))
     return config
 

@@ -26,6 +26,7 @@ from flipperctl.config.presets import presets
 from flipperctl.config.resolver import is_robot_file, named_robot
 from flipperctl.config.words import check_different, literal
 from flipperctl.errors import ConfigError
+from flipperctl.runtime.devices import SECTION, Devices, read_devices, robot_devices
 from flipperctl.training.search import Interval
 
 SEARCH_PATH = "hydra.searchpath"
@@ -139,6 +140,15 @@ class Requests:
         """Keys with several values, or with an interval."""
         return [r.name for r in self if isinstance(r.value, Several | Interval)]
 
+    def devices(self) -> Devices | None:
+        """Return those of ``devices=FILE``, or of a robot's file that has some."""
+        for request in self:
+            name, value = request.key, request.value
+            if name == SECTION and isinstance(value, str):
+                return read_devices(Path(value))
+        robot = self.choice("robot")
+        return robot_devices(Path(robot)) if robot and is_robot_file(robot) else None
+
     def where(self, accepts: Callable[[str], bool]) -> Requests:
         """Return the requests whose key a function accepts."""
         return Requests(tuple(request for request in self if accepts(request.key)))
@@ -248,6 +258,10 @@ def _expand(request: Request, paths: Collection[str]) -> Iterator[Request]:
             )
         settings = named_robot(value).model_dump(mode="json")
         section = key
+    elif key == SECTION:
+        settings, section = read_devices(Path(value)).perception(), "perception"
+        if section not in paths:
+            yield Request(section, "lidar")
     elif key in CONTROLLERS and policy_file.is_policy_file(value):
         settings = policy_file.settings_of(value, key)
         yield Request(key, settings.pop("name"))

@@ -73,7 +73,7 @@ class _Heard:
         self.belts: list[tuple[float, float, Pose | None]] = []
         self.apart: list[tuple[float, float, str]] = []  # stamp, angle and names of two joints
         # One pass keeps numbers alone: a bag's clouds may not fit into memory.
-        joints = NewestJoints(names.front, names.rear)
+        joints = NewestJoints(names.front, names.rear, names.scale)
         wanted = {topics.clouds, topics.attitude, topics.belts, *topics.joints} - {None}
         for topic, received, message in messages(reader, {str(name) for name in wanted}):
             stamp = received
@@ -91,7 +91,7 @@ class _Heard:
                 speed = float(message.twist.twist.linear.x if twisted else message.data)
                 posed = message.pose.pose if twisted else None
                 pose = pose_of(posed.position, posed.orientation) if posed else None
-                self.belts.append((stamp, speed, pose))
+                self.belts.append((stamp, names.belt_scale * speed, pose))
             elif angles := joints.take(stamp, message.name, message.position):
                 for pair, which in zip(
                     angles.offsets or (), (names.front, names.rear), strict=False

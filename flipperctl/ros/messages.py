@@ -21,6 +21,7 @@ import numpy as np
 from flipperctl.api import FloatArray, RobotState
 from flipperctl.core.lidar.body import attitude, mounting
 from flipperctl.errors import MissingExtraError
+from flipperctl.runtime.devices import Devices
 
 ODOM, BASE, LEVEL, LIDAR = "odom", "base_link", "base_stabilized", "lidar"
 JOINTS = (
@@ -81,18 +82,40 @@ class Messages:
 
     types: Any = field(default_factory=typestore)
     """``rosbags.typesys.Typestore``."""
+    devices: Devices = field(default_factory=Devices)
+    """What joints and frames are called, and how joints count."""
+    origin: float = EPOCH
+    """Stamp of the start of the episode [s]."""
+    double: bool = False
+    """Whether clouds have double precision, so that an episode on topics is that in process."""
 
     def header(self, time: float, frame: str) -> Any:
         """Return a header with the stamp of ``time`` since the start of the episode [s]."""
-        seconds, rest = divmod(nanoseconds(time), 10**9)
-        stamp = self._make("builtin_interfaces/Time", sec=seconds, nanosec=rest)
-        return self._make("std_msgs/Header", stamp=stamp, frame_id=frame)
+        return self._make("std_msgs/Header", stamp=self._stamp(time), frame_id=frame)
+
+    def clock(self, time: float) -> Any:
+        """Return a ``Clock``."""
+        return self._make("rosgraph_msgs/Clock", clock=self._stamp(time))
+
+    def _stamp(self, time: float) -> Any:
+        seconds, rest = divmod(round(self.origin * 1e9) + round(time * 1e9), 10**9)
+        return self._make("builtin_interfaces/Time", sec=seconds, nanosec=rest)
 
     def joint_state(self, time: float, front: float, rear: float) -> Any:
         """Return the angles of both pairs in frame R [rad] as a ``JointState``."""
-        content = {"name": list(JOINTS), "position": joint_angles(front, rear)}
+        joints, signs, names, angles = self.devices.joints, self.devices.signs, [], []
+        pairs = (joints.front, signs.front * front), (joints.rear, signs.rear * rear)
+        for pair, angle in pairs:
+            names += [name.lstrip("-") for name in pair]
+            angles += [(-angle if n.startswith("-") else angle) / joints.scale for n in pair]
+        position = np.array(angles) + 0.0  # no -0
+        content = {"name": names, "position": position}
         content |= {"velocity": np.empty(0), "effort": np.empty(0)}
-        return self._make("sensor_msgs/JointState", header=self.header(time, BASE), **content)
+        return self._make("sensor_msgs/JointState", header=self.header(time, self._base), **content)
+
+    @property
+    def _base(self) -> str:
+        return self.devices.frames.base
 
     def imu(
         self,
@@ -110,7 +133,7 @@ class Messages:
         unknown[0] = _NOT_MEASURED
         return self._make(
             "sensor_msgs/Imu",
-            header=self.header(time, BASE),
+            header=self.header(time, self._base),
             orientation=self._orientation(attitude(*attitude_angles)),
             orientation_covariance=np.zeros(9),
             angular_velocity=self._xyz("Vector3", *rates),
@@ -132,8 +155,8 @@ class Messages:
         none = np.zeros(36)
         return make(
             "nav_msgs/Odometry",
-            header=self.header(state.time, ODOM),
-            child_frame_id=BASE,
+            header=self.header(state.time, self.devices.frames.fixed),
+            child_frame_id=self._base,
             pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=none),
             twist=make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=none),
         )
@@ -142,17 +165,17 @@ class Messages:
         """Return the frames of the chassis, tilted and level, as a ``TFMessage``."""
         place, tilted = _place(state), attitude(state.roll, state.pitch, state.yaw)
         level = attitude(0.0, 0.0, state.yaw)
-        turns = {BASE: (place, tilted), LEVEL: (place, level)}
-        return self._frames(self.header(state.time, ODOM), turns)
+        turns = {self._base: (place, tilted), LEVEL: (place, level)}
+        return self._frames(self.header(state.time, self.devices.frames.fixed), turns)
 
     def mount(self, x: float, z: float, axis: float) -> Any:
         """Return the place of the LiDAR on the chassis as a ``TFMessage``; see ``Mount``."""
-        return self._frames(self.header(0.0, BASE), {LIDAR: ((x, 0.0, z), mounting(axis))})
+        return self._frames(self.header(0.0, self._base), {LIDAR: ((x, 0.0, z), mounting(axis))})
 
     def cloud(
         self, time: float, frame: str, points: FloatArray, ages: FloatArray | None = None
     ) -> Any:
-        """Return points, (P, 3) [m], as a ``PointCloud2`` of single precision.
+        """Return points, (P, 3) [m], as a ``PointCloud2``, of single precision by default.
 
         ``ages``: how long before ``time`` each was measured, (P,) [s]; they make a field ``time``
         of negative seconds relative to the stamp, as drivers of turning LiDARs write it.
@@ -160,11 +183,12 @@ class Messages:
         names = "xyz" if ages is None else ("x", "y", "z", TIME)
         # Single precision and one time for each point, as drivers write them
         columns = points if ages is None else np.column_stack([points, -ages])
+        size, kind = (8, 8) if self.double else (4, 7)
         fields = [
-            self._make("sensor_msgs/PointField", name=name, offset=4 * i, datatype=7, count=1)
+            self._make("sensor_msgs/PointField", name=name, offset=size * i, datatype=kind, count=1)
             for i, name in enumerate(names)
         ]
-        data, step = np.ascontiguousarray(columns, "<f4"), 4 * len(names)
+        data, step = np.ascontiguousarray(columns, f"<f{size}"), size * len(names)
         return self._make(
             "sensor_msgs/PointCloud2",
             header=self.header(time, frame),

@@ -39,6 +39,7 @@ from flipperctl.runtime.messages import (
     Attitude,
     Cloud,
     JointAngles,
+    Limits,
     NewestJoints,
     Odometry,
     RobotSetup,
@@ -126,7 +127,8 @@ class Recording:
         devices = {used.clouds: "cloud", **dict.fromkeys(used.joints, "joints")}
         others = ("attitude", used.attitude), ("odometry", used.belts)
         devices |= {topic: device for device, topic in others if topic}
-        joints = NewestJoints(self.names.front, self.names.rear)
+        joints = NewestJoints(self.names.front, self.names.rear, self.names.scale)
+        scale = self.names.belt_scale
         waiting: Step | None = None
         with opened(self.path) as reader:
             for topic, received, message in messages(reader, devices):
@@ -145,9 +147,10 @@ class Recording:
                     case "joints":
                         content = self._joints(joints, topic, message)
                     case _ if hasattr(message, "twist"):
-                        content = Odometry(_stamp(message), float(message.twist.twist.linear.x))
-                    case _:
-                        content = Odometry(now, float(message.data))  # it has no stamp of its own
+                        speed = float(message.twist.twist.linear.x)
+                        content = Odometry(_stamp(message), scale * speed)
+                    case _:  # it has no stamp of its own
+                        content = Odometry(now, scale * float(message.data))
                 if content is None:
                     continue
 
@@ -263,7 +266,13 @@ def check_used(keys: Iterable[str]) -> None:
 
 
 def shadow(
-    policy: Path, source: Path, sensor: Sensor, pose: str | None, names: Names, log: Path
+    policy: Path,
+    source: Path,
+    sensor: Sensor,
+    pose: str | None,
+    names: Names,
+    log: Path,
+    limits: Limits | None = None,
 ) -> dict[str, Any]:
     """Write what a policy would have done on a bag; return the numbers.
 
@@ -279,7 +288,7 @@ def shadow(
     # The controller of a robot decides on what was recorded.
     recording = read_recording(source, names)
     lines: list[str] = []
-    decided = Shadow(policy, setup_of(recording, lidar, pose), lines.append)
+    decided = Shadow(policy, setup_of(recording, lidar, pose), lines.append, limits)
     for step in recording.steps():
         decided.take(step.now, step.messages)
     write_bytes(log, "".join(f"{line}\n" for line in lines).encode())

@@ -5,7 +5,7 @@ In: an opened bag, and what its topics, frames and joints are called. Out: topic
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from flipperctl.errors import RequestError
 from flipperctl.ros.episode import BELTS
 from flipperctl.ros.messages import BASE, JOINTS, ODOM
 from flipperctl.ros.reading import CLOUD, ODOMETRY, messages
+from flipperctl.runtime.devices import Devices
 from flipperctl.text.messages import close_match
 
 _LISTED = 10
@@ -41,6 +42,28 @@ class Names:
     """Joints of the rear flippers, likewise."""
     signs: str = "rep103"
     """Convention of the flippers' angles."""
+    scale: float = 1.0
+    """Angle of 1 in a message [rad]."""
+    belt_scale: float = 1.0
+    """Speed of the belts of 1 in a message [m/s]."""
+    likely: Sequence[str] = ()
+    """Topics that are taken where several could be meant."""
+
+    @classmethod
+    def of(cls, devices: Devices, **others: Any) -> Names:
+        """Return what the devices are called; ``others`` are taken instead, unless None."""
+        joints, frames, topics = devices.joints, devices.frames, devices.topics
+        names: dict[str, Any] = {
+            "fixed": frames.fixed,
+            "base": frames.base,
+            "front": joints.front,
+            "rear": joints.rear,
+            "signs": joints.signs,
+            "scale": joints.scale,
+            "belt_scale": devices.belts.scale,
+            "likely": (topics.clouds, topics.imu, topics.belts),
+        }
+        return cls(**(names | {name: value for name, value in others.items() if value is not None}))
 
     def __post_init__(self) -> None:
         """Take frames as tf2 does, without a slash at the beginning."""
@@ -64,13 +87,14 @@ class Topics:
 def found_devices(path: Path, reader: Any, names: Names, remarks: list[str]) -> Topics:
     """Return the topics of the devices that a bag has; ``remarks`` receives what is missing."""
     clouds = cloud_topic(path, reader, names)
-    attitude = _only(path, reader, names.imu, (_IMU,), "--imu")
+    attitude = _only(path, reader, names.imu, (_IMU,), "--imu", names.likely)
     joints = _joint_topics(reader, names, remarks)
     # The simulator's own belts come first, since its bags have odometry as well.
     belts = names.belts
     if belts is None and any(c.topic == BELTS for c in reader.connections):
         belts = BELTS
-    belts = _only(path, reader, belts, (_NUMBER, ODOMETRY) if belts else (ODOMETRY,), "--belts")
+    kinds = (_NUMBER, ODOMETRY) if belts else (ODOMETRY,)
+    belts = _only(path, reader, belts, kinds, "--belts", names.likely)
     return Topics(clouds, attitude, belts, joints)
 
 
@@ -119,10 +143,18 @@ def _joints_in(reader: Any, topic: str, wanted: Sequence[str]) -> set[str]:
 
 
 def _only(
-    path: Path, reader: Any, topic: str | None, kinds: Sequence[str], option: str
+    path: Path,
+    reader: Any,
+    topic: str | None,
+    kinds: Sequence[str],
+    option: str,
+    likely: Iterable[str],
 ) -> str | None:
     """Return the topic, or the only one of these kinds; None if there is none."""
     known = sorted({c.topic for c in reader.connections if c.msgtype in kinds})
+    if topic is None and len(known) > 1:
+        usual = {f"/{name.lstrip('/')}" for name in likely}
+        topic = next((name for name in known if name in usual), None)
     if topic in known or (topic is None and len(known) < 2):
         return topic or next(iter(known), None)
     kind = " or ".join(name.rpartition("/")[2] for name in kinds)
@@ -134,7 +166,7 @@ def _only(
 
 def cloud_topic(path: Path, reader: Any, names: Names) -> str:
     """Return the topic of the clouds, which is needed."""
-    if topic := _only(path, reader, names.clouds, (CLOUD,), "--topic"):
+    if topic := _only(path, reader, names.clouds, (CLOUD,), "--topic", names.likely):
         return topic
     kinds = {c.topic: c.msgtype.replace("/msg/", "/") for c in reader.connections}
     has = [f"{name} ({kind})" for name, kind in sorted(kinds.items())]

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from flipperctl.core.targets import TargetRule as TargetRule
     from flipperctl.runtime.controller import Answer as Answer
     from flipperctl.runtime.controller import FlipperController as FlipperController
+    from flipperctl.runtime.devices import Devices as Devices
+    from flipperctl.runtime.devices import read_devices as read_devices
     from flipperctl.runtime.interface import Interface as Interface
     from flipperctl.runtime.interface import Quantity as Quantity
     from flipperctl.runtime.messages import OURS as OURS
@@ -25,6 +27,12 @@ if TYPE_CHECKING:
     from flipperctl.runtime.messages import Odometry as Odometry
     from flipperctl.runtime.messages import RobotSetup as RobotSetup
     from flipperctl.runtime.messages import Signs as Signs
+    from flipperctl.runtime.node import Command as Command
+    from flipperctl.runtime.node import Diagnosis as Diagnosis
+    from flipperctl.runtime.node import Lockstep as Lockstep
+    from flipperctl.runtime.node import Marker as Marker
+    from flipperctl.runtime.node import Place as Place
+    from flipperctl.runtime.node import RobotNode as RobotNode
     from flipperctl.runtime.point_cloud import PointTimes as PointTimes
     from flipperctl.runtime.point_cloud import read_cloud as read_cloud
     from flipperctl.runtime.policy import OnnxPolicy as OnnxPolicy
@@ -32,9 +40,11 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "controller": "Answer FlipperController",
+    "devices": "Devices read_devices",
     "interface": "Interface Quantity TargetRule",
     "messages": "OURS REP_103 Ages Attitude Cloud JointAngles Limits Mount NewestJoints Odometry "
     "RobotSetup Signs",
+    "node": "Command Diagnosis Lockstep Marker Place RobotNode",
     "point_cloud": "PointTimes read_cloud",
     "policy": "OnnxPolicy",
     "states": "CommandWatch",

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from flipperctl.runtime.interface import Interface
 
 HELP = """Usage: python -m flipperctl.runtime FILE
-       python -m flipperctl.runtime --self-test MESSAGES [--signs rep103]
-       python -m flipperctl.runtime --shadow FILE MESSAGES [--signs rep103]
+       python -m flipperctl.runtime --self-test MESSAGES [--signs rep103 | --devices FILE]
+       python -m flipperctl.runtime --shadow FILE MESSAGES [--signs rep103 | --devices FILE]
 
 Check an exported policy, an .onnx file, and print its interface: the observation with units,
 frames and limits, input and outputs, the actions, the decision period, the rule of the targets, the
@@ -27,7 +27,8 @@ It needs only numpy and onnxruntime.
 measure from a file of JSON lines, or from a pipe with the name -, and names each sign that is
 wrong. --shadow prints what a policy would do on such messages, a line of JSON for each decision and
 each change of state, while nothing moves by it. --signs is the convention of the messages,
-flipperctl (default) or rep103.
+flipperctl (default) or rep103; --devices is a file with the robot's signs, widths, mount and
+limits, YAML (needs ruamel.yaml) or JSON.
 
 Examples
 
@@ -129,15 +130,17 @@ def _main(words: list[str]) -> int:
 
 def _on_messages(words: list[str]) -> int:
     """Run the self-test, or a policy in shadow mode, on a file of messages."""
-    from flipperctl.runtime.messages import CONVENTIONS, RobotSetup
-    from flipperctl.runtime.recordings import Shadow, opened, read_lines, self_test
+    from flipperctl.runtime.devices import read_devices
+    from flipperctl.runtime.messages import CONVENTIONS
+    from flipperctl.runtime.recordings import Shadow, opened, read_lines, self_test, setup_by
 
-    # What remains besides the convention must be one of two forms.
-    rest, name = list(words), "flipperctl"
-    if "--signs" in rest[:-1]:
-        at = rest.index("--signs")
-        name = rest[at + 1]
-        del rest[at : at + 2]
+    # What remains besides the convention or the devices must be one of two forms.
+    rest, given = list(words), {"--signs": "flipperctl"}
+    for option in ("--signs", "--devices"):
+        if option in rest[:-1]:
+            at = rest.index(option)
+            given[option] = rest[at + 1]
+            del rest[at : at + 2]
     match rest:
         case ["--self-test", _] | ["--shadow", _, _]:
             pass
@@ -146,13 +149,15 @@ def _on_messages(words: list[str]) -> int:
                 "expected python -m flipperctl.runtime --self-test MESSAGES [--signs NAME] or "
                 f"--shadow FILE MESSAGES [--signs NAME]; got {shlex.join(words)}; see --help"
             )
-    if name not in CONVENTIONS:
+    if given["--signs"] not in CONVENTIONS:
         known = ", ".join(CONVENTIONS)
-        raise RequestError(f"there is no convention {name!r}; {known} is allowed")
-    setup, (lines, where) = RobotSetup(signs=CONVENTIONS[name]), opened(rest[-1])
+        raise RequestError(f"there is no convention {given['--signs']!r}; {known} is allowed")
+    file = Path(given["--devices"]) if "--devices" in given else None
+    setup, (lines, where) = setup_by(file, given["--signs"]), opened(rest[-1])
     if rest[0] == "--self-test":
         return 0 if self_test(lines, where, setup).passed else 1
-    shadow = Shadow(Path(rest[1]), setup, lambda line: print(line, flush=True))
+    limits = None if file is None else read_devices(file).limits
+    shadow = Shadow(Path(rest[1]), setup, lambda line: print(line, flush=True), limits)
     for now, messages in read_lines(lines, where):
         shadow.take(now, messages)
     return 0

@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from flipperctl.core import FloatArray
 from flipperctl.core import observation as layout
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.estimator import LidarEstimator
@@ -106,12 +107,14 @@ class FlipperController:
         *,
         shadow: bool = False,
         escape: bool = False,
+        trusted: bool = False,
     ) -> None:
         """``log`` receives a line of JSON for each decision and each change of state.
 
         ``shadow``: someone else moves the flippers, and the answers only tell what the policy would
         do; that flippers do not follow is then no fault. ``escape``: whether a policy that warns
-        draws its actions, as in the simulator; see ``OnnxPolicy``.
+        draws its actions, as in the simulator; see ``OnnxPolicy``. ``trusted``: whether the
+        flippers are known to obey, as simulated ones do, so that no first turn has to show it.
 
         Raises:
             MissingExtraError: onnxruntime is missing, or small_gicp for matched scans.
@@ -119,19 +122,31 @@ class FlipperController:
         """
         self.policy = OnnxPolicy(path, escape=escape)
         self._setup, self._limits = setup or RobotSetup(), limits or Limits()
-        self._log, self._shadow = log, shadow
+        self._log, self._shadow, self._trusted = log, shadow, trusted
         # Rhythm, limits and speeds of the training
         interface = self.policy.interface
         self._period, self._limit = interface.decision_period, interface.targets.limit
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
         self._driving_speed = float(interface.robot.get("track_speed", 0.0))
         self._last: float | None = None
+        self.manual = False
+        """Whether an operator drives: the controller stands by, and its map goes on."""
         self.reset()
 
     def reset(self) -> None:
         """Begin anew on level ground, as after the robot was carried: map and targets go."""
         self._states = States(self._limits)
         self._begin(level=True)
+
+    @property
+    def pitch(self) -> float:
+        """Pitch of the chassis by the latest messages, nose up positive [rad]."""
+        return self._estimator.pose.pitch
+
+    @property
+    def map_points(self) -> FloatArray:
+        """The points of the map along the robot, (P, 3) [m]: level, with its centre as origin."""
+        return self._estimator.map_points()
 
     def acknowledge(self) -> None:
         """Let a robot go on that stopped until it is told to; its map stays."""
@@ -144,6 +159,8 @@ class FlipperController:
         self._begun: float | None = None  # time of the first step [s]
         self._decided = False
         self._answer = Answer(None, None, False, "waiting")
+        self.ground: SensedGround | None = None
+        """The ground of the last try to decide."""
         self._await()
 
     def _await(self) -> None:
@@ -158,7 +175,10 @@ class FlipperController:
         interface = self.policy.interface
         delay = float(interface.robot.get("actuator_delay", 0.0))
         numbers = float(np.abs(interface.actions).max()), self._period, self._turning, delay
-        return {name: PairMotion(name, *numbers, self._limits) for name in JOINTS}
+        motions = {name: PairMotion(name, *numbers, self._limits) for name in JOINTS}
+        for motion in motions.values():
+            motion.obeys = self._trusted
+        return motions
 
     def _release(self) -> None:
         """Command nothing; the policy forgets its earlier observations."""
@@ -196,6 +216,7 @@ class FlipperController:
         try:
             self._advance(now, elapsed)  # towards the targets of the steps before
             fault = self._receive(now, messages)
+            self._states.manual = self.manual
             state = self._states.update(now, fault or self._undecided)
             if state == "driving" and (self._held or self._targets is None):
                 self._due = min(self._due, now)
@@ -286,6 +307,7 @@ class FlipperController:
         late = now - self._due > self._period  # or the first decision
         self._due = now + self._period if late else self._due + self._period
         ground, angles = self._estimator.estimate(now)
+        self.ground = ground
         self._undecided = self._uncertain(ground)
         if self._undecided is not None:
             self._states.update(now, self._undecided)

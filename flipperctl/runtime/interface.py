@@ -27,6 +27,7 @@ from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
 from flipperctl.core.targets import ACTIONS, JOINTS, ActionKind, TargetRule
 from flipperctl.errors import MissingExtraError, PolicyError, other_format
+from flipperctl.runtime.devices import SECTION, Devices, devices_of
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -111,6 +112,8 @@ class Interface:
     """How actions are drawn on a warning; None for a policy that never draws them."""
     map_quality: MapQuality | None = None
     """Settings of the map in the training; None for a policy that was trained without a LiDAR."""
+    devices: Devices | None = None
+    """The robot's devices; None if they were not exported with the policy."""
 
     @property
     def kind(self) -> ActionKind:
@@ -396,4 +399,13 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         risk=risk,
         escape=escape,
         map_quality=optional("map", MapQuality),
+        devices=_devices(metadata, where),
     )
+
+
+def _devices(metadata: Mapping[str, str], where: str) -> Devices | None:
+    text = metadata.get(f"{PREFIX}{SECTION}")
+    try:
+        return None if text is None else devices_of(json.loads(text), f"{where}: {SECTION}")
+    except ValueError as error:
+        raise PolicyError(f"{where}: {PREFIX}{SECTION} is no JSON in its metadata") from error

@@ -73,7 +73,7 @@ class RobotSetup:
     """How scans enter the map: by odometry, or corrected by matching (needs small_gicp)."""
     range_bias: float = 0.02
     """Largest constant error of the LiDAR's distances [m]."""
-    tilt_error: float = 0.0032
+    tilt_error: float = 0.0031622776601683794
     """Standard deviation of the inertial unit's roll and pitch [rad]."""
 
 
@@ -264,12 +264,13 @@ def _asin(value: float) -> float:
 class NewestJoints:
     """The newest angle of each flipper's joint."""
 
-    def __init__(self, front: Sequence[str], rear: Sequence[str]) -> None:
+    def __init__(self, front: Sequence[str], rear: Sequence[str], scale: float = 1.0) -> None:
         """``front`` and ``rear``: names of the joints of each pair.
 
-        A - before a name tells that the joint counts the other way.
+        A - before a name tells that the joint counts the other way. ``scale``: angle of 1 [rad].
         """
-        self._signs = {n.lstrip("-"): -1 if n.startswith("-") else 1 for n in (*front, *rear)}
+        names = *front, *rear
+        self._signs = {n.lstrip("-"): -scale if n.startswith("-") else scale for n in names}
         self._pairs = [[name.lstrip("-") for name in pair] for pair in (front, rear)]
         self._angles: dict[str, tuple[float, float]] = {}  # joint → its stamp and angle
 

@@ -13,19 +13,20 @@ import math
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from flipperctl.core.lidar.body import mounting
+from flipperctl.core.lidar.body import Mount, mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.targets import closest
 from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime.controller import Answer, FlipperController
+from flipperctl.runtime.devices import read_devices
 from flipperctl.runtime.intake import Intake
-from flipperctl.runtime.messages import KINDS, JointAngles, Limits, RobotSetup
+from flipperctl.runtime.messages import CONVENTIONS, KINDS, JointAngles, Limits, RobotSetup
 
 _NO_MESSAGE = (
     ValueError,
@@ -232,6 +233,19 @@ class SelfTest:
         return Verdict(sign, device, False, text)
 
 
+def setup_by(devices: Path | None, signs: str) -> RobotSetup:
+    """Return the setup of a file of devices, or of a convention of signs without one.
+
+    Messages are in the units of ``flipperctl.runtime``, and clouds in the frame of their mount.
+    """
+    if devices is None:
+        return RobotSetup(signs=CONVENTIONS[signs])
+    setup = read_devices(devices)
+    frame = "lidar" if setup.mount is not None else setup.frames.base
+    mount = setup.mount or Mount(0.0, 0.0, math.pi / 2, setup.lidar.near, setup.lidar.margin)
+    return replace(setup.setup(mount), cloud_frame=frame)
+
+
 def self_test(lines: Iterable[str], where: str, setup: RobotSetup) -> SelfTest:
     """Test the messages of ``lines``, and print instructions and verdicts."""
     test, now = SelfTest(setup), 0.0
@@ -256,9 +270,15 @@ _JUMP = 10.0
 class Shadow:
     """Steps a controller by recorded messages, writes its log and counts its faults."""
 
-    def __init__(self, policy: Path, setup: RobotSetup, write: Callable[[str], object]) -> None:
+    def __init__(
+        self,
+        policy: Path,
+        setup: RobotSetup,
+        write: Callable[[str], object],
+        limits: Limits | None = None,
+    ) -> None:
         """``write`` receives each line of the log, without its end."""
-        self._controller = FlipperController(policy, setup, log=self._log, shadow=True)
+        self._controller = FlipperController(policy, setup, limits, self._log, shadow=True)
         self._write = write
         self._measured: tuple[float, float] | None = None
         self._begun: float | None = None

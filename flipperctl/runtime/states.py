@@ -63,6 +63,7 @@ class States:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.state: State = "waiting"
+        self.manual = False  # whether an operator drives, as if the robot were parked
         self._speed = math.nan  # of the belts, as on a robot without their encoders [m/s]
         self._driven, self._stands = True, False  # what the last speed says, and what counts
         self._clear()
@@ -140,7 +141,7 @@ class States:
             wait = limits.recurs if self._faults > 1 else 0.0
         if calm < wait - _SUMS:
             return "unsure"
-        return "parked" if self._stands else "ready"
+        return "parked" if self._stands or self.manual else "ready"
 
     def _wrong(self, now: float, fault: Fault) -> Event:
         """Return the event of a fault."""
@@ -165,6 +166,8 @@ class States:
 
     def reason(self) -> str:
         """Return a sentence with the belts' speed, for an answer in standby."""
+        if self.manual:
+            return "an operator drives; the policy decides nothing meanwhile"
         return (
             f"the belts drive at {self._speed:.2f} m/s; the policy decides nothing until that is "
             f"{self._limits.standby_speed:g} m/s or more"

@@ -206,6 +206,35 @@ def print_bag(bag: dict[str, Any]) -> None:
         print_text(f"  {topic}: {count}")
 
 
+_SIMULATED = (
+    Column("episode", "episode", named=True),
+    Column("outcome", "outcome"),
+    Column("pitch_variation", "pitch variation [rad]", 2),
+    Column("seconds", "time [s]", 1),
+    Column("median", "cloud to command [ms]", 0),
+    Column("most", "99 % [ms]", 0),
+    Column("told", "told most", wrapped=True),
+)
+
+
+def print_simulated(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print how the episodes of a simulated robot on topics went."""
+    cells = []
+    for row in rows:
+        told = max(row["diagnoses"], key=row["diagnoses"].get, default="nothing")
+        times = {"median": 1e3 * row["latency_median"], "most": 1e3 * row["latency_99"]}
+        cells.append({**row, **times, "told": told, "episode": str(row["episode"])})
+    print_table(Table(_SIMULATED, cells), console())
+
+
+def print_vectors(written: Mapping[str, Any]) -> None:
+    """Print how many instants a file of vectors has."""
+    print_text(
+        f"wrote {written['output']}: {written['instants']} instants of {written['episodes']} "
+        f"episodes of {written['terrain']}"
+    )
+
+
 def print_ground(ground: dict[str, Any]) -> None:
     """Print what recorded ground covers, and how to drive over it."""
     without = f" ({ground['clouds_without_pose']} more have no pose)"

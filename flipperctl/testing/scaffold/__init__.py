@@ -53,6 +53,31 @@ _USAGE = {
 }
 
 
+def write_robot(name: str, folder: Path) -> Path:
+    """Write ``NAME.yaml``, the body and the devices of a robot, for its builder to change."""
+    if not api.is_plugin_name(name):
+        raise PluginError(f"robot {name!r}: {api.NAME_RULE}")
+    return _write(make_folder(folder) / f"{name}.yaml", _filled("robot.yaml", name=name))
+
+
+def _filled(template: str, **fields: str) -> str:
+    text = files(__package__).joinpath("templates", f"{template}.txt").read_text("utf-8")
+    return Template(text).substitute(**fields)
+
+
+def _write(path: Path, text: str) -> Path:
+    """Write a new file, completely or not at all; return its path."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise _already_exists(path) from error
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        raise failure(path, error) from error
+    return path
+
+
 @dataclass(frozen=True)
 class Draft:
     """A plugin to write.
@@ -69,7 +94,7 @@ class Draft:
         if self.kind not in _USAGE:
             raise RequestError(
                 f"there is no kind {self.kind!r} of plugin{close_match(self.kind, _USAGE)}; "
-                f"{', '.join(_USAGE)} are allowed"
+                f"{', '.join(_USAGE)} and robot are allowed"
             )
         if not api.is_plugin_name(self.name) or keyword.iskeyword(self.name):
             raise PluginError(
@@ -109,16 +134,8 @@ class Draft:
 
     def write_file(self, folder: Path) -> Path:
         """Write ``NAME.py``, completely or not at all; return its path."""
-        path = make_folder(folder) / f"{self.name}.py"
-        try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(self._text(f"{self.kind}.py"))
-        except FileExistsError as error:
-            raise _already_exists(path) from error
-        except OSError as error:
-            path.unlink(missing_ok=True)
-            raise failure(path, error) from error
-        return path
+        text = self._text(f"{self.kind}.py")
+        return _write(make_folder(folder) / f"{self.name}.py", text)
 
     def write_package(self, folder: Path) -> Path:
         """Write a folder with pyproject, source, test and README, completely or not at all."""
@@ -146,8 +163,8 @@ class Draft:
         return f'[project.entry-points."flipperctl.commands"]\n{self.typed} = "{place}"\n\n'
 
     def _text(self, template: str) -> str:
-        text = files(__package__).joinpath("templates", f"{template}.txt").read_text("utf-8")
-        return Template(text).substitute(
+        return _filled(
+            template,
             kind=self.kind,
             name=self.name,
             typed=self.typed,

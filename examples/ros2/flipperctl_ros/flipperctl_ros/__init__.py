@@ -1,0 +1,1 @@
+"""A lifecycle node around ``flipperctl.runtime``."""

@@ -1,0 +1,152 @@
+"""One file of a robot's devices, at every door that takes it."""
+
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from flipperctl.api import Robot
+from flipperctl.config.resolver import named_robot
+from flipperctl.runtime import FlipperController, OnnxPolicy
+from flipperctl.runtime.__main__ import _main
+from flipperctl.runtime.devices import Devices, read_devices, robot_devices
+from tests.cli.call import call
+from tests.runtime.linear import ROBOT, RULE, write
+from tests.runtime.robot import SETUP
+from tests.runtime.robot import Robot as Simulated
+
+ROOT = Path(__file__).parents[2]
+ROVER = """
+chassis_length: 0.6
+devices:
+  joints: {front: [fl, fr], rear: [rl, rr]}
+  lidar: {x: 0.2, z: 0.35, axis: -0.7}
+  overall_width: 0.6
+"""
+
+
+@pytest.fixture
+def rover(tmp_path: Path) -> Path:
+    (tmp_path / "rover.yaml").write_text(ROVER)
+    return tmp_path
+
+
+def test_the_draft_of_a_robot_is_nubot_with_its_devices(tmp_path: Path) -> None:
+    done = call("new", "robot", "mine", cwd=tmp_path)
+    assert done.code == 0
+    assert "flipperctl eval okada robot=mine.yaml devices=mine.yaml" in done.out
+    assert read_devices(tmp_path / "mine.yaml") == robot_devices(tmp_path / "mine.yaml")
+    assert read_devices(tmp_path / "mine.yaml") == Devices()
+    assert named_robot(str(tmp_path / "mine.yaml")) == Robot()
+    assert call("new", "robot", "mine", cwd=tmp_path).code == 2  # nothing is overwritten
+
+
+def test_an_evaluation_and_a_training_take_the_devices(rover: Path) -> None:
+    words = "robot=rover.yaml", "devices=rover.yaml", "terrain=step"
+    shown = call("inspect", "config", *words, cwd=rover).out
+    assert "mount_x: 0.2" in shown
+    assert "overall_width: 0.6" in shown
+    assert "pose: belts" in shown
+    changed = call("inspect", "config", *words, "perception.overall_width=0.7", cwd=rover).out
+    assert "overall_width: 0.7" in changed  # what is typed counts
+    refused = call("eval", "okada", "devices=none.yaml", cwd=rover)
+    assert (refused.code, refused.err.count("\n")) == (2, 1)
+    assert "none.yaml cannot be read" in refused.err
+
+
+def test_a_recording_is_read_by_the_names_of_the_devices(rover: Path) -> None:
+    words = "terrain=step", "perception=lidar", "perception.pose=belts", "perception.azimuths=60"
+    short = "episode.run_up=0.8", "episode.run_out=0.4"
+    assert call("export", "mcap", "okada", *words, *short, "--output", "bag", cwd=rover).code == 0
+    theirs = {"joints": {"front": ["front_left_flipper", "-front_right_flipper"]}}
+    (rover / "wrong.json").write_text(json.dumps(theirs))
+    plain = call("robot", "check", "bag", "--json", cwd=rover)
+    wrong = call("robot", "check", "bag", "devices=wrong.json", "--json", cwd=rover)
+    assert plain.code == wrong.code == 0
+    rows = [
+        [row for row in json.loads(done.out)["checks"] if row["quantity"] == "angle"]
+        for done in (plain, wrong)
+    ]
+    assert [row["verdict"] for rows_of in rows for row in rows_of] == ["ok", "refused"]
+    lost = call("robot", "check", "bag", "robot=rover.yaml", "--json", cwd=rover)
+    assert "no JointState has the joints fl, fr, rl, rr" in lost.out
+
+
+def test_an_exported_policy_carries_the_devices(rover: Path) -> None:
+    done = call(
+        "export", "onnx", "generalist", "devices=rover.yaml", "--output", "p.onnx", cwd=rover
+    )
+    assert done.code == 0, done.err
+    assert OnnxPolicy(rover / "p.onnx").interface.devices == read_devices(rover / "rover.yaml")
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A policy, and the messages of a robot that it drove over a step, as lines of JSON."""
+    folder = tmp_path_factory.mktemp("drive")
+    file = write(folder / "p.onnx", robot=ROBOT, targets=RULE)
+    robot, lines = Simulated(FlipperController(file, SETUP), ground="step"), []
+
+    def note(device: str, message: dict) -> None:
+        plain = {k: v.tolist() if hasattr(v, "tolist") else v for k, v in message.items()}
+        plain |= {"frame": "lidar"} if device == "cloud" else {}
+        lines.append({"time": message["time"], device: plain})
+
+    robot.run(6.0, note)
+    (folder / "m.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    place = {"x": 0.0, "z": 0.0, "axis": math.pi / 2, "near": 0.01}
+    devices = {"lidar": place, "joints": {"signs": "flipperctl"}}
+    (folder / "d.json").write_text(json.dumps(devices))
+    return folder, file
+
+
+def test_the_runtime_reads_devices_without_flipperctls_packages(
+    drive: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, file = drive
+    words = ["--shadow", str(file), str(folder / "m.jsonl"), "--devices", str(folder / "d.json")]
+    assert _main(words) == 0
+    log = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert sum(line["action"] is not None for line in log) > 5
+
+
+def oldest_python() -> str | None:
+    """Python 3.10 of this machine, on the path or of pyenv."""
+    root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    places = [shutil.which("python3.10"), *sorted(root.glob("versions/3.10.*/bin/python3.10"))]
+    for place in filter(None, places):
+        done = subprocess.run([place, "-c", "import venv, ensurepip"], capture_output=True)
+        if done.returncode == 0:
+            return str(place)
+    return None
+
+
+@pytest.mark.slow
+def test_core_and_runtime_decide_the_same_on_python_3_10(
+    drive: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """As on Humble and JetPack 6, with numpy and onnxruntime alone."""
+    if (oldest := oldest_python()) is None:
+        pytest.skip("this machine has no Python 3.10")
+    subprocess.run([oldest, "-m", "venv", tmp_path / "v"], check=True)
+    python = tmp_path / "v" / "bin" / "python"
+    pip = [python, "-m", "pip", "install", "--quiet", "numpy", "onnxruntime"]
+    subprocess.run(pip, check=True, capture_output=True)
+    folder, file = drive
+    words = ["--shadow", file, folder / "m.jsonl", "--devices", folder / "d.json"]
+    command = ["-m", "flipperctl.runtime", *words]
+    logs = []
+    for program in (python, sys.executable):
+        clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "FLIPPERCTL"))}
+        clean |= {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+        done = subprocess.run([program, *command], env=clean, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        logs.append([json.loads(line) for line in done.stdout.splitlines()])
+    oldest_log, ours = logs
+    assert oldest_log == ours
+    assert sum(line["action"] is not None for line in ours) > 5
