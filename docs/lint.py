@@ -37,8 +37,8 @@ UPGRADE = "docs/upgrade.md"
 """Page that names what existed before."""
 MEAN, MOST = 18, 35
 """Words of a sentence: largest mean of a page, and largest number of one [-]."""
-CHANGELOG_LINES = 150
-"""Largest number of lines of a version in the changelog [-]."""
+CHANGELOG_LINES = 120
+"""Largest number of lines of the newest version in the changelog [-]."""
 README_BYTES = 8_000
 """Largest size of the README [B]."""
 VAGUE = ("found", "one", "own", "told", "given", "made", "asked", "chosen", "held", "kept")
@@ -250,14 +250,20 @@ def disagreements() -> Iterator[str]:
         yield f"pyproject.toml and the folders differ in the packages {sorted(packages ^ listed)}"
 
     # Versions and sizes.
-    if f"\nversion: {project['version']}\n" not in (ROOT / "CITATION.cff").read_text():
-        yield f"CITATION.cff has another version than {project['version']}"
+    package, version = ROOT / "examples" / "ros2" / "flipperctl_ros", project["version"]
+    for file, text in (
+        (ROOT / "CITATION.cff", f"\nversion: {version}\n"),
+        (ROOT / "CHANGELOG.md", f"\n## [{version}] - "),
+        (package / "package.xml", f"<version>{version}</version>"),
+        (package / "setup.py", f'version="{version}"'),
+    ):
+        if text not in file.read_text():
+            yield f"{file.name} has another version than {version}"
     if (ROOT / "README.md").stat().st_size > README_BYTES:
         yield f"README.md has more than {README_BYTES} bytes"
-    _, *parts = re.split(r"^(?=## )", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
-    for part in parts:
-        if part.count("\n") > CHANGELOG_LINES:
-            yield f"CHANGELOG.md: {part.splitlines()[0]} has more than {CHANGELOG_LINES} lines"
+    _, newest, *_ = re.split(r"^(?=## )", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
+    if newest.count("\n") > CHANGELOG_LINES:
+        yield f"CHANGELOG.md: {newest.splitlines()[0]} has more than {CHANGELOG_LINES} lines"
 
 
 def _read(name: str) -> Any:
