@@ -41,12 +41,16 @@ BeltTopic = Annotated[
 FixedFrame = Annotated[
     str | None,
     typer.Option(
-        metavar="NAME", help="Frame in which the ground is at rest [odom].", show_default=False
+        metavar="NAME",
+        help="Frame in which the ground is at rest; odom if not given.",
+        show_default=False,
     ),
 ]
 BaseFrame = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Frame of the chassis [base_link].", show_default=False),
+    typer.Option(
+        metavar="NAME", help="Frame of the chassis; base_link if not given.", show_default=False
+    ),
 ]
 FrontJoints = Annotated[
     list[str] | None,
@@ -61,7 +65,9 @@ RearJoints = Annotated[
 AngleSigns = Annotated[
     Convention | None,
     typer.Option(
-        metavar="NAME", help="Signs of the flippers' angles [rep103].", show_default=False
+        metavar="NAME",
+        help="Signs of the flippers' angles; rep103 if not given.",
+        show_default=False,
     ),
 ]
 
