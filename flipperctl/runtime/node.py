@@ -143,7 +143,8 @@ class RobotNode:
         self._measured: JointAngles | None = None
         self._axes: tuple[float, float, float] | None = None  # of an operator who drives
         self._goal: tuple[float, float] | None = None  # where the operator turns the flippers [rad]
-        self._pressed = self._stopped = False
+        self._pressed: set[str] = set()  # emergency stops that are pressed now
+        self._stopped = False
         self._then = self._joy_time = math.nan
         self.enabled = True
         """Whether the policy may command; the operator may at any time."""
@@ -274,7 +275,7 @@ class RobotNode:
         pad = self.devices.operator
         buttons, axes = list(message.buttons), list(message.axes)
         # A button or an axis that the device lacks is never pressed or moved.
-        self.press_stop(pad.stop < len(buttons) and bool(buttons[pad.stop]))
+        self.press_stop(pad.stop < len(buttons) and bool(buttons[pad.stop]), source="joy")
         held = pad.deadman < len(buttons) and bool(buttons[pad.deadman])
         wanted = pad.belts, pad.front, pad.rear
         belts, front, rear = (float(axes[i]) if i < len(axes) else 0.0 for i in wanted)
@@ -282,9 +283,15 @@ class RobotNode:
         self._goal = self._goal if held else None
         self._joy_time = now
 
-    def press_stop(self, pressed: bool) -> None:
-        """Take an emergency stop by hand: the belts stand until ``acknowledge``."""
-        self._pressed = pressed
+    def press_stop(self, pressed: bool, source: str = "stop") -> None:
+        """Take an emergency stop by hand: the belts stand until ``acknowledge``.
+
+        ``source``: which button, as several may be pressed at a time.
+        """
+        if pressed:
+            self._pressed.add(source)
+        else:
+            self._pressed.discard(source)
         self._stopped = self._stopped or pressed
 
     # What goes out

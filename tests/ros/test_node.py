@@ -261,6 +261,7 @@ def test_a_stop_by_hand_lasts_until_it_is_acknowledged(file: Path, stream: Strea
     driver, half = Driver(file, stream), len(stream) // 2
     driver.play(stream[:half])
     driver.node.press_stop(pressed=True)
+    driver.node.joy(0.0, Message(buttons=[0] * 8, axes=[0.0] * 8))  # another button, not pressed
     assert driver.node.acknowledge() == "the emergency stop is still pressed"
     driver.node.press_stop(pressed=False)
     driver.play(stream[half : half + 60])
