@@ -61,7 +61,7 @@ tests:
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 ros: setup
-	$(BIN)/pytest -m ros
+	$(BIN)/pytest -m "ros and not long"
 
 long: setup
 	$(BIN)/python -m tests.machine_code

@@ -92,7 +92,7 @@ class Ros:
         )
 
     def episodes(self, process: subprocess.Popen[str]) -> list[dict[str, Any]]:
-        out, err = process.communicate(timeout=300)
+        out, err = process.communicate(timeout=1500)
         assert process.returncode == 0, err
         rows: list[dict[str, Any]] = json.loads(out)["episodes"]
         return rows
@@ -154,6 +154,17 @@ def test_in_lockstep_each_target_is_that_of_the_episode_in_process(ros: Ros) -> 
     assert row["outcome"] == "reached"
     assert row["targets"] == in_process(ros.folder, row, "terrain=paper_step")
     assert set(row["diagnoses"]) == {"driving"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("terrain", ["paper_step", "paper_stair"])
+def test_twenty_episodes_in_lockstep_are_those_in_process(ros: Ros, terrain: str) -> None:
+    with ros.node(lockstep=True, escape=True):
+        words = f"terrain={terrain}", "--lockstep", "--episodes", "20"
+        rows = ros.episodes(ros.simulate(*words))
+    assert [row["outcome"] for row in rows] == ["reached"] * 20
+    for row in rows:
+        assert row["targets"] == in_process(ros.folder, row, f"terrain={terrain}")
 
 
 def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:
