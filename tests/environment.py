@@ -6,6 +6,7 @@ neither. What is not asked for is as absent as in an environment of its own.
 
 import csv
 import os
+import shutil
 import subprocess
 import sys
 import venv
@@ -109,3 +110,14 @@ def closure(requirements: Iterable[str]) -> set[str]:
                 seen.add((name, asked))
                 waiting += [(Requirement(r), asked) for r in distribution(name).requires or ()]
     return found
+
+
+def interpreter(version: str) -> Path | None:
+    """A Python of a version, on the path or of pyenv."""
+    root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    found = sorted(root.glob(f"versions/{version}.*/bin/python{version}"))
+    place = shutil.which(f"python{version}")
+    for each in [*found, *([Path(place)] if place else [])]:
+        if subprocess.run([each, "-c", "import ensurepip"], capture_output=True).returncode == 0:
+            return each
+    return None

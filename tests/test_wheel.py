@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 from numba.core.caching import UserProvidedCacheLocator
 
-from tests.environment import Environment
-from tests.ros.test_devices import oldest_python
+from tests.environment import Environment, interpreter
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -128,7 +127,7 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
 
 
 def test_python_3_10_gets_the_part_of_a_robot(wheel: Path, tmp_path: Path) -> None:
-    if (oldest := oldest_python()) is None:
+    if (oldest := interpreter("3.10")) is None:
         pytest.skip("this machine has no Python 3.10")
     subprocess.run([oldest, "-m", "venv", tmp_path / "v"], check=True)
     environment = Environment(tmp_path / "v", tmp_path)

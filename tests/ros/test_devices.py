@@ -3,7 +3,6 @@
 import json
 import math
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -16,6 +15,7 @@ from flipperctl.runtime import FlipperController, OnnxPolicy
 from flipperctl.runtime.__main__ import _main
 from flipperctl.runtime.devices import Devices, read_devices, robot_devices
 from tests.cli.call import call
+from tests.environment import interpreter
 from tests.runtime.linear import ROBOT, RULE, write
 from tests.runtime.robot import SETUP
 from tests.runtime.robot import Robot as Simulated
@@ -115,23 +115,12 @@ def test_the_runtime_reads_devices_without_flipperctls_packages(
     assert sum(line["action"] is not None for line in log) > 5
 
 
-def oldest_python() -> str | None:
-    """Python 3.10 of this machine, on the path or of pyenv."""
-    root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
-    places = [shutil.which("python3.10"), *sorted(root.glob("versions/3.10.*/bin/python3.10"))]
-    for place in filter(None, places):
-        done = subprocess.run([place, "-c", "import venv, ensurepip"], capture_output=True)
-        if done.returncode == 0:
-            return str(place)
-    return None
-
-
 @pytest.mark.slow
 def test_core_and_runtime_decide_the_same_on_python_3_10(
     drive: tuple[Path, Path], tmp_path: Path
 ) -> None:
     """As on Humble and JetPack 6, with numpy and onnxruntime alone."""
-    if (oldest := oldest_python()) is None:
+    if (oldest := interpreter("3.10")) is None:
         pytest.skip("this machine has no Python 3.10")
     subprocess.run([oldest, "-m", "venv", tmp_path / "v"], check=True)
     python = tmp_path / "v" / "bin" / "python"

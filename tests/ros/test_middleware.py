@@ -6,7 +6,6 @@ that they need are missing, its tests are skipped with the reason.
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.runtime.devices import Devices
 from tests.cli.call import call
+from tests.environment import interpreter
 
 pytest.importorskip("cyclonedds", reason="the extra dds is not installed")
 pytestmark = pytest.mark.ros
@@ -96,17 +96,6 @@ class Ros:
         assert process.returncode == 0, err
         rows: list[dict[str, Any]] = json.loads(out)["episodes"]
         return rows
-
-
-def interpreter(version: str) -> Path | None:
-    """A Python of a version, on the path or of pyenv."""
-    root = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
-    found = sorted(root.glob(f"versions/{version}.*/bin/python{version}"))
-    place = shutil.which(f"python{version}")
-    for each in [*found, *([Path(place)] if place else [])]:
-        if subprocess.run([each, "-c", "import ensurepip"], capture_output=True).returncode == 0:
-            return each
-    return None
 
 
 @pytest.fixture(scope="module", params=DISTRIBUTIONS)
