@@ -363,7 +363,7 @@ def simulate(
     words = with_flags(list(overrides or ()), seed=seed)
     config, *_, devices = recorded_robot(words, Devices())
     rows = []
-    for row in simulated(config, devices, link, episodes):
+    for row in simulated(config, devices, link, episodes, print_note):
         print_note(f"episode {row['episode']}: {row['outcome']}, {row['seconds']:.1f} s")
         rows.append(row)
     show({"episodes": rows}, lambda: print_simulated(rows), as_json=as_json)

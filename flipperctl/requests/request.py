@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import Settings
+from flipperctl.api import Settings, registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import policy_file, to_dict
 from flipperctl.config.defaults import CHOICES, LISTS
@@ -120,6 +120,12 @@ class Requests:
         controller replace its name; what another request sets is left to that request.
         """
         paths = {request.path for request in self}
+        sensor = registry.get(("perception", self.choice("perception") or ""))
+        if SECTION in paths and sensor is not None and "mount_axis" not in sensor.model_fields:
+            raise ConfigError(
+                f"{SECTION}=FILE has the place and the widths of a LiDAR; perception=lidar is "
+                f"allowed beside it, not {self.choice('perception')}"
+            )
         return tuple(part for request in self for part in _expand(request, paths))
 
     @property

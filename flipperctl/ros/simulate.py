@@ -113,6 +113,8 @@ class TopicRobot(Observer):
         self._zero: float | None = None  # real time of the episode's begin [s]
         self._cloud: tuple[float | None, float] = (None, 0.0)  # sent, and its stamp
         self._speed, self._ticked = 0.0, -math.inf
+        self.answered = False
+        """Whether a node has answered that it knows of the episode."""
         signs = devices.signs
         self._signs = signs.front, signs.rear
         self._publish = self._publishers()
@@ -202,7 +204,8 @@ class TopicRobot(Observer):
             while self._ready != begin and time.monotonic() < until:
                 self._send("simulation/begin", self._make.number(begin))
                 self._heard.wait(0.2)
-            if self._ready != begin and self._link.lockstep:
+            self.answered = self._ready == begin
+            if not self.answered and self._link.lockstep:
                 raise FlipperctlError("lockstep: no node has answered on simulation/ready")
         sensor: Any = self._config.perception
         mount = self._make.mount(sensor.mount_x, sensor.mount_z, sensor.mount_axis)
@@ -308,9 +311,13 @@ class TopicRobot(Observer):
 
 
 def simulate(
-    config: EvalConfig, devices: Devices, link: Link, episodes: int
+    config: EvalConfig,
+    devices: Devices,
+    link: Link,
+    episodes: int,
+    tell: Callable[[str], object] = lambda text: None,
 ) -> Iterator[dict[str, Any]]:
-    """Yield the outcome of each episode that a node drives over topics."""
+    """Yield the outcome of each episode that a node drives over topics; ``tell``: a remark."""
     if config.perception.lidar is None or getattr(config.perception, "pose", "true") == "true":
         raise RequestError(
             "a simulated robot has a LiDAR, and measures no pose: perception=lidar with "
@@ -322,6 +329,10 @@ def simulate(
         seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
         for episode in range(episodes):
             robot.prepare(episode)
+            if not robot.answered:
+                tell(
+                    "no node has answered on simulation/ready; one that does not know it may drive"
+                )
             begun, targets, ending = time.monotonic(), [], None
             for decision in decisions(env, robot, seeds(episode), observers=(robot,)):
                 targets.append([round(float(angle), 6) for angle in env.drive.targets])

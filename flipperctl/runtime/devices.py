@@ -204,6 +204,11 @@ def read_devices(path: Path) -> Devices:
     settings = _load(path)
     if not isinstance(settings, Mapping):
         raise PolicyError(f"{path}: settings of devices are allowed; known: {_names(Devices)}")
+    known = {item.name for item in fields(Devices)}
+    if SECTION not in settings and settings and not known & settings.keys():
+        raise PolicyError(
+            f"{path}: there is no section {SECTION!r}, and no key of one: {_names(Devices)}"
+        )
     return devices_of(settings.get(SECTION, settings), str(path))
 
 

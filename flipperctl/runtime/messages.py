@@ -274,6 +274,11 @@ class NewestJoints:
         self._pairs = [[name.lstrip("-") for name in pair] for pair in (front, rear)]
         self._angles: dict[str, tuple[float, float]] = {}  # joint → its stamp and angle
 
+    @property
+    def missing(self) -> list[str]:
+        """The joints without an angle yet."""
+        return [name for name in self._signs if name not in self._angles]
+
     def take(
         self, stamp: float, names: Iterable[str], positions: Iterable[float]
     ) -> JointAngles | None:

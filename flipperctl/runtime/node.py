@@ -31,6 +31,8 @@ Quaternion = tuple[float, float, float, float]
 Level = Literal["ok", "warn", "error"]
 Source = Literal["policy", "operator", "nobody"]
 _LEVELS: dict[str, Level] = {"standby": "ok", "driving": "ok", "stopped": "error"}
+_PATIENCE = 2.0
+"""Time after which a device that is silent is told [s]."""
 _SEEN, _UNSEEN, _PLAN = (0.1, 0.6, 0.2), (0.6, 0.6, 0.6), (0.9, 0.5, 0.1)  # colours
 
 
@@ -141,6 +143,8 @@ class RobotNode:
         self._belts: Odometry | None = None
         self._warned: set[str] = set()
         self._measured: JointAngles | None = None
+        self._since = math.nan  # time of the first step [s]
+        self._heard: set[str] = set()  # devices that have sent something
         self._axes: tuple[float, float, float] | None = None  # of an operator who drives
         self._goal: tuple[float, float] | None = None  # where the operator turns the flippers [rad]
         self._pressed: set[str] = set()  # emergency stops that are pressed now
@@ -254,6 +258,7 @@ class RobotNode:
     def joints(self, now: float, message: Any) -> None:
         """Take a ``JointState``, of all flippers or a part; other joints are not ours."""
         stamp = _seconds(message.header.stamp)
+        self._heard |= {"joints"}
         angles = self._joints.take(stamp, message.name, message.position)
         self._angles = angles or self._angles
         self._measured = self._angles or self._measured
@@ -268,6 +273,7 @@ class RobotNode:
             now, speed = _seconds(message.header.stamp), twist.linear.x
         else:
             speed = message.data
+        self._heard |= {"belts"}
         self._belts = Odometry(now, self.devices.belts.scale * speed)
 
     def joy(self, now: float, message: Any) -> None:
@@ -303,6 +309,9 @@ class RobotNode:
 
         In shadow mode there is no command.
         """
+        self._since = now if math.isnan(self._since) else self._since
+        if now - self._since > _PATIENCE:
+            self._tell_missing()
         if self._axes is not None and now - self._joy_time > self.devices.limits.valid_for:
             self._axes = self._goal = None  # the operator's radio is gone
         operator = self._axes is not None
@@ -323,6 +332,17 @@ class RobotNode:
         elif source == "nobody":
             pair, speed = None, 0.0
         return self._command(now, pair, speed, source), diagnosis
+
+    def _tell_missing(self) -> None:
+        """Tell of devices that should have sent something by now."""
+        topics, missing = self.devices.topics, self._joints.missing
+        if "joints" in self._heard and missing:
+            self._tell(f"{topics.joints} tells no angle of the joints {', '.join(missing)}")
+        if "belts" not in self._heard:
+            self._tell(
+                f"no speed of the belts has come on {topics.belts}: the policy decides as if they "
+                "drove ahead all the time"
+            )
 
     def _by_hand(self, elapsed: float) -> tuple[tuple[float, float] | None, float]:
         """Return where the operator turns the flippers, and how fast the belts shall run."""

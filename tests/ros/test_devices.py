@@ -57,6 +57,12 @@ def test_an_evaluation_and_a_training_take_the_devices(rover: Path) -> None:
     refused = call("eval", "okada", "devices=none.yaml", cwd=rover)
     assert (refused.code, refused.err.count("\n")) == (2, 1)
     assert "none.yaml cannot be read" in refused.err
+    planar = call("eval", "okada", "devices=rover.yaml", "perception=planar", cwd=rover)
+    assert planar.code == 2
+    assert "devices=FILE has the place and the widths of a LiDAR" in planar.err
+    (rover / "body.yaml").write_text("chassis_length: 0.6\n")
+    body = call("eval", "okada", "devices=body.yaml", cwd=rover)
+    assert (body.code, "there is no section 'devices'" in body.err) == (2, True)
 
 
 def test_a_recording_is_read_by_the_names_of_the_devices(rover: Path) -> None:

@@ -314,6 +314,14 @@ def test_joints_in_parts_are_taken(file: Path, stream: Stream) -> None:
     assert driver.warnings == []
 
 
+def test_devices_that_are_silent_or_misnamed_are_told(file: Path, stream: Stream) -> None:
+    settings = {"joints": {"front": ["front_left_flipper", "fr"]}}
+    driver = Driver(file, stream, devices_of(settings, "test"))
+    driver.play([entry for entry in stream if entry[1] != "belt_speed"])
+    assert "joint_states tells no angle of the joints fr" in driver.warnings
+    assert any(text.startswith("no speed of the belts has come") for text in driver.warnings)
+
+
 def test_a_cloud_without_coordinates_is_told(file: Path, stream: Stream) -> None:
     driver = Driver(file, stream)
     message = next(m for _, topic, m in stream if topic == "points")

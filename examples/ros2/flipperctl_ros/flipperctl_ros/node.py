@@ -30,6 +30,8 @@ from flipperctl.runtime.node import Lockstep, Place, RobotNode
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 KINDS = {"plan": Marker.LINE_LIST, "risk": Marker.TEXT_VIEW_FACING}  # the others are points
+BELTS = {"Float64": Float64, "Odometry": Odometry}
+OF_ROS = {"use_sim_time", "start_type_description_service"}
 PERIOD = 0.05  # of steps without messages, since age is a fault [s]
 DISCOVERY, NEW = 2.0, 10.0  # in which another node is seen; is the newer one of two [s]
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -40,7 +42,8 @@ class FlipperNode(LifecycleNode):
     """Hands messages to a ``RobotNode``, and publishes what it answers."""
 
     def __init__(self, **options):
-        super().__init__("flipperctl", **options)
+        declare = {"automatically_declare_parameters_from_overrides": True}
+        super().__init__("flipperctl", **declare, **options)
         defaults = {
             "policy": "policy.onnx",
             "devices": "",  # the policy's own, or nubot's
@@ -50,8 +53,12 @@ class FlipperNode(LifecycleNode):
             "lockstep": False,  # with a simulated robot that waits
             "autostart": True,
         }
+        # A misspelt parameter, as of shadow, must not move the robot.
+        given = set(self.get_parameters_by_prefix("")) - set(defaults) - OF_ROS
+        self.unknown = {name for name in given if "." not in name}
         for name, default in defaults.items():
-            self.declare_parameter(name, default)
+            if not self.has_parameter(name):
+                self.declare_parameter(name, default)
         self.robot, self.lockstep, self.commands, self.ours = None, None, {}, []
         self.buffer = None  # of tf
 
@@ -63,6 +70,12 @@ class FlipperNode(LifecycleNode):
     def on_configure(self, state):
         """Read the policy and the devices, and listen; nothing is commanded yet."""
         log = self.get_logger()
+        if self.unknown:
+            log.error(f"there are no parameters {', '.join(sorted(self.unknown))}")
+            return FAILURE
+        if self.parameter("belts_type") not in BELTS:
+            log.error(f"belts_type: {' or '.join(BELTS)} is allowed")
+            return FAILURE
         try:
             file = self.parameter("devices")
             self.robot = RobotNode(
@@ -85,7 +98,7 @@ class FlipperNode(LifecycleNode):
             log.error("tf2_ros is missing; give the place of the LiDAR in the devices file")
             return FAILURE
         names, lockstep = self.robot.devices.topics, self.lockstep is not None
-        belts = {"Float64": Float64, "Odometry": Odometry}[self.parameter("belts_type")]
+        belts = BELTS[self.parameter("belts_type")]
         depth = 1000 if lockstep else 10
         qos = (
             (depth, depth, depth, depth) if lockstep else (qos_profile_sensor_data, LATEST, 10, 10)
