@@ -78,6 +78,7 @@ def export(
     from flipperctl.config.words import with_engine, with_flags
     from flipperctl.export.scene import export_scene
     from flipperctl.export.vectors import export_vectors
+    from flipperctl.requests.text import from_words
     from flipperctl.ros.episode import export_bag
     from flipperctl.terminal.tables import print_bag, print_scene, print_vectors
 
@@ -94,7 +95,8 @@ def export(
         show(written, lambda: print_vectors(written), as_json=as_json)
         return
     if kind is Kind.mcap:
-        bag = export_bag(config, source, output or Path(name), episode)
+        devices = from_words(split_policies(words)[1]).devices()
+        bag = export_bag(config, source, output or Path(name), episode, devices)
         show(bag, lambda: print_bag(bag), as_json=as_json)
         return
     target = output or Path(f"{name}.xml" if kind is Kind.mjcf else f"{name}.urdf")

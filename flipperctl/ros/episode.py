@@ -29,11 +29,11 @@ from flipperctl.ros.messages import (
     LEVEL,
     LIDAR,
     Messages,
-    joint_angles,
     nanoseconds,
     require_rosbags,
     typestore,
 )
+from flipperctl.runtime.devices import Devices
 from flipperctl.text.files import new_folder
 
 CLOUD, IMU, JOINT_STATES, ODOMETRY = "/points", "/imu/data", "/joint_states", "/odom"
@@ -107,24 +107,32 @@ def check_bag(folder: Path) -> None:
 
 
 def export_bag(
-    config: EvalConfig, source: PolicySource, folder: Path, episode: int = 0
+    config: EvalConfig,
+    source: PolicySource,
+    folder: Path,
+    episode: int = 0,
+    devices: Devices | None = None,
 ) -> dict[str, Any]:
-    """Play one episode of an evaluation into a new bag; return what it holds."""
+    """Play one episode of an evaluation into a new bag; return what it holds.
+
+    ``devices``: what topics, joints and frames are called, and how they count; None: as nubot's.
+    """
     check_bag(folder)
+    make = Messages(devices=devices or Devices())
     # What a policy perceived is stamped by the state that was sensed, not by the decision.
     watch, env = Watch(), FlipperEnv(config=config)
     seed = EvaluationSeeds.of(config.eval.seed, config.terrain)(episode)
     decided, sensed, ending = [], 0.0, None
     for decision in decisions(env, source.build(config), seed, observers=(watch,)):
-        targets = joint_angles(*env.drive.targets)
+        targets = make.angles(*env.drive.targets)
         at = decision.transition.before.time
         decided.append(_Decided(at, sensed, decision.perception, decision.action, targets))
         sensed, ending = env.drive.delayed_state.time, decision.ending
     assert ending is not None  # decisions() yields until there is one
 
     # The bag, and what it holds by topic
-    messages = list(_messages(watch, decided, config.perception))
-    write_bag(folder, messages)
+    messages = list(_messages(make, watch, decided, config.perception))
+    write_bag(folder, messages, make.devices)
     return {
         "format": "mcap",
         "output": str(folder),
@@ -136,8 +144,14 @@ def export_bag(
     }
 
 
-def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
-    """Write messages of the topics in ``TYPES`` to a new bag, in the order of their times."""
+def write_bag(folder: Path, messages: Sequence[Stamped], devices: Devices | None = None) -> None:
+    """Write messages of the topics in ``TYPES`` to a new bag, in the order of their times.
+
+    Topics of devices are called as ``devices`` call them.
+    """
+    called = (devices or Devices()).topics
+    names = {CLOUD: called.clouds, IMU: called.imu, JOINT_STATES: called.joints}
+    names |= {BELTS: called.belts, TARGETS: called.flipper_command}
     ros = require_rosbags("a bag")
     types, bag = typestore(), ros.rosbag2
     with (
@@ -148,7 +162,8 @@ def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
         topics = {}
         for topic in dict.fromkeys(stamped.topic for stamped in messages):
             more = {"typestore": types, "offered_qos_profiles": _qos(topic)}
-            topics[topic] = writer.add_connection(topic, TYPES[topic], **more)
+            name = f"/{names[topic].lstrip('/')}" if topic in names else topic
+            topics[topic] = writer.add_connection(name, TYPES[topic], **more)
         for time, topic, message in sorted(messages, key=lambda stamped: stamped.time):
             data = types.serialize_cdr(message, TYPES[topic])
             writer.write(topics[topic], nanoseconds(time), data)
@@ -167,10 +182,12 @@ def _qos(topic: str) -> Sequence[Any]:
     return [ros.Qos(last, 1, reliable, local, *timing, avoid_ros_namespace_conventions=False)]
 
 
-def _messages(watch: Watch, decided: Sequence[_Decided], sensor: Sensor) -> Iterator[Stamped]:
+def _messages(
+    make: Messages, watch: Watch, decided: Sequence[_Decided], sensor: Sensor
+) -> Iterator[Stamped]:
     """Yield all messages; the truth stands in for what no instrument measures."""
     # Where scans are measured, if there are any
-    make, kinds = Messages(), {type(m.value) for m in watch.measurements}
+    kinds = {type(m.value) for m in watch.measurements}
     if Scan in kinds:
         if not all(hasattr(sensor, name) for name in _MOUNT):
             raise RequestError(
@@ -229,4 +246,4 @@ def _of_measurements(make: Messages, measurements: Sequence[Measured]) -> Iterat
             x, y, z = (value.yaw_rate * attitude(value.roll, value.pitch, 0.0)[2]).tolist()
             yield Stamped(time, IMU, make.imu(time, (value.roll, value.pitch, 0.0), (x, y, z)))
         elif isinstance(value, Belts):
-            yield Stamped(time, BELTS, make.number(value.speed))
+            yield Stamped(time, BELTS, make.number(value.speed / make.devices.belts.scale))

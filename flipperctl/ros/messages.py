@@ -63,11 +63,6 @@ def nanoseconds(time: float) -> int:
     return EPOCH * 10**9 + round(time * 1e9)
 
 
-def joint_angles(front: float, rear: float) -> FloatArray:
-    """Return the angles of ``JOINTS`` in ROS, (4,) [rad], from the angles in frame R."""
-    return np.array([-front, -front, rear, rear]) + 0.0  # no -0
-
-
 def quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
     """Return x, y, z and w of a rotation matrix, (3, 3), with w not negative."""
     from scipy.spatial.transform import Rotation
@@ -103,15 +98,23 @@ class Messages:
 
     def joint_state(self, time: float, front: float, rear: float) -> Any:
         """Return the angles of both pairs in frame R [rad] as a ``JointState``."""
-        joints, signs, names, angles = self.devices.joints, self.devices.signs, [], []
-        pairs = (joints.front, signs.front * front), (joints.rear, signs.rear * rear)
-        for pair, angle in pairs:
-            names += [name.lstrip("-") for name in pair]
-            angles += [(-angle if n.startswith("-") else angle) / joints.scale for n in pair]
-        position = np.array(angles) + 0.0  # no -0
-        content = {"name": names, "position": position}
+        names = [
+            name.lstrip("-") for name in (*self.devices.joints.front, *self.devices.joints.rear)
+        ]
+        content: dict[str, Any] = {"name": names, "position": self.angles(front, rear)}
         content |= {"velocity": np.empty(0), "effort": np.empty(0)}
         return self._make("sensor_msgs/JointState", header=self.header(time, self._base), **content)
+
+    def angles(self, front: float, rear: float) -> FloatArray:
+        """Return the angles of all joints, as the robot counts them, from those in frame R."""
+        joints, signs = self.devices.joints, self.devices.signs
+        pairs = (joints.front, signs.front * front), (joints.rear, signs.rear * rear)
+        angles = [
+            (-angle if name.startswith("-") else angle) / joints.scale
+            for pair, angle in pairs
+            for name in pair
+        ]
+        return np.array(angles) + 0.0  # no -0
 
     @property
     def _base(self) -> str:

@@ -89,10 +89,11 @@ def found_devices(path: Path, reader: Any, names: Names, remarks: list[str]) -> 
     clouds = cloud_topic(path, reader, names)
     attitude = _only(path, reader, names.imu, (_IMU,), "--imu", names.likely)
     joints = _joint_topics(reader, names, remarks)
-    # The simulator's own belts come first, since its bags have odometry as well.
-    belts = names.belts
-    if belts is None and any(c.topic == BELTS for c in reader.connections):
-        belts = BELTS
+    # The robot's own belts come first, since its bags have odometry as well.
+    belts, usual = names.belts, {BELTS, *(f"/{name.lstrip('/')}" for name in names.likely)}
+    if belts is None:
+        numbers = (c.topic for c in reader.connections if c.msgtype == _NUMBER)
+        belts = next((topic for topic in numbers if topic in usual), None)
     kinds = (_NUMBER, ODOMETRY) if belts else (ODOMETRY,)
     belts = _only(path, reader, belts, kinds, "--belts", names.likely)
     return Topics(clouds, attitude, belts, joints)

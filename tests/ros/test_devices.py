@@ -83,6 +83,29 @@ def test_a_recording_is_read_by_the_names_of_the_devices(rover: Path) -> None:
     assert "no JointState has the joints fl, fr, rl, rr" in lost.out
 
 
+def test_a_bag_of_an_episode_has_the_names_and_units_of_the_devices(tmp_path: Path) -> None:
+    settings = {
+        "topics": {"clouds": "os/points", "belts": "belts", "joints": "arms"},
+        "joints": {"front": ["lf", "-rf"], "rear": ["lr", "-rr"], "scale": math.radians(1)},
+        "belts": {"scale": 0.001},
+        "frames": {"base": "chassis"},
+    }
+    (tmp_path / "d.json").write_text(json.dumps(settings))
+    words = "terrain=step", "perception=lidar", "perception.pose=belts", "perception.azimuths=60"
+    words = *words, "episode.run_up=0.8", "episode.run_out=0.4"
+    checks = []
+    for name, more in (("ours", ()), ("theirs", ("devices=d.json",))):
+        done = call("export", "mcap", "okada", *words, *more, "--output", name, cwd=tmp_path)
+        assert done.code == 0, done.err
+        checks.append(json.loads(call("robot", "check", name, *more, "--json", cwd=tmp_path).out))
+    ours, theirs = checks
+    topics = {"cloud": "/os/points", "attitude": "/imu/data", "joints": "/arms"}
+    assert theirs["topics"] == topics | {"odometry": "/belts"}
+    assert theirs["scans"] == ours["scans"]
+    verdicts = [[row["verdict"] for row in each["checks"]] for each in checks]
+    assert verdicts[0] == verdicts[1]
+
+
 def test_an_exported_policy_carries_the_devices(rover: Path) -> None:
     done = call(
         "export", "onnx", "generalist", "devices=rover.yaml", "--output", "p.onnx", cwd=rover
