@@ -67,6 +67,11 @@ class Request:
         return self.key if self.package is None else f"{self.key}@{self.package}"
 
     @property
+    def place(self) -> str:
+        """The setting or section that the request changes."""
+        return self.key if self.package is None else self.package
+
+    @property
     def name(self) -> str:
         """The key with its package and prefix."""
         return f"{self.prefix}{self.path}"
@@ -102,9 +107,9 @@ class Requests:
         items = tuple(itertools.chain(*parts))
         earlier: dict[str, Request] = {}
         for request in items:
-            if (other := earlier.setdefault(request.path, request)) is not request:
+            if (other := earlier.setdefault(request.place, request)) is not request:
                 raise ConfigError(
-                    f"{request.path} is given twice: {other.text} and {request.text}; one is "
+                    f"{request.place} is given twice: {other.text} and {request.text}; one is "
                     "allowed"
                 )
         return cls(items)

@@ -131,6 +131,8 @@ eval --controller okada controller=level \
     -> controller is given twice: controller=okada and controller=level; one is allowed
 train agent.gamma=0.9 +agent.gamma=0.8 \
     -> agent.gamma is given twice: agent.gamma=0.9 and +agent.gamma=0.8; one is allowed
+train ~rewards.pitch reward@rewards.pitch=impact \
+    -> rewards.pitch is given twice: ~rewards.pitch and reward@rewards.pitch=impact
 watch --no-open -> name a policy
 drive --as ../x --no-open -> --as '../x'
 drive --study none.yaml --no-open -> --study none.yaml: it cannot be read
