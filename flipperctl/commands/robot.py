@@ -154,17 +154,9 @@ def check(
 
         check_perceived(output, at)
     config, pose, _, devices = recorded_robot(overrides)
-    names = Names.of(
-        devices,
-        clouds=topic,
-        imu=imu,
-        belts=belts,
-        fixed=fixed_frame,
-        base=base_frame,
-        front=front or None,
-        rear=rear or None,
-        signs=signs and signs.value,
-    )
+    joints = {"front": front or None, "rear": rear or None, "signs": signs and signs.value}
+    topics = {"clouds": topic, "imu": imu, "belts": belts}
+    names = Names.of(devices, fixed=fixed_frame, base=base_frame, **topics, **joints)
     replayed = replay(bag, config.perception, config.robot, pose, names)
     if output is not None:
         with episodes_progress("drawing", 1) as report:
@@ -210,16 +202,8 @@ def shadow(
 
     config, pose, keys, devices = recorded_robot(overrides)
     check_used(keys)
-    names = Names.of(
-        devices,
-        clouds=topic,
-        imu=imu,
-        belts=belts,
-        base=base_frame,
-        front=front or None,
-        rear=rear or None,
-        signs=signs and signs.value,
-    )
+    joints = {"front": front or None, "rear": rear or None, "signs": signs and signs.value}
+    names = Names.of(devices, clouds=topic, imu=imu, belts=belts, base=base_frame, **joints)
     document = shadow(policy, bag, config.perception, pose, names, output, devices.limits)
     show(document, lambda: print_shadow(document), as_json=as_json)
 

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from flipperctl.runtime.devices import read_devices as read_devices
     from flipperctl.runtime.interface import Interface as Interface
     from flipperctl.runtime.interface import Quantity as Quantity
+    from flipperctl.runtime.lockstep import Lockstep as Lockstep
+    from flipperctl.runtime.markers import Marker as Marker
+    from flipperctl.runtime.markers import markers_of as markers_of
     from flipperctl.runtime.messages import OURS as OURS
     from flipperctl.runtime.messages import REP_103 as REP_103
     from flipperctl.runtime.messages import Ages as Ages
@@ -29,8 +32,6 @@ if TYPE_CHECKING:
     from flipperctl.runtime.messages import Signs as Signs
     from flipperctl.runtime.node import Command as Command
     from flipperctl.runtime.node import Diagnosis as Diagnosis
-    from flipperctl.runtime.node import Lockstep as Lockstep
-    from flipperctl.runtime.node import Marker as Marker
     from flipperctl.runtime.node import Place as Place
     from flipperctl.runtime.node import RobotNode as RobotNode
     from flipperctl.runtime.point_cloud import PointTimes as PointTimes
@@ -44,7 +45,9 @@ _MODULES = {
     "interface": "Interface Quantity TargetRule",
     "messages": "OURS REP_103 Ages Attitude Cloud JointAngles Limits Mount NewestJoints Odometry "
     "RobotSetup Signs",
-    "node": "Command Diagnosis Lockstep Marker Place RobotNode",
+    "lockstep": "Lockstep",
+    "markers": "Marker markers_of",
+    "node": "Command Diagnosis Place RobotNode",
     "point_cloud": "PointTimes read_cloud",
     "policy": "OnnxPolicy",
     "states": "CommandWatch",

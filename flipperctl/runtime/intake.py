@@ -301,15 +301,15 @@ def _refusal(
     return _RefusedError(Fault(f"{device}_{name}", text, gap=gap))
 
 
-def _offsets(given: Any) -> list[list[float]]:
+def _offsets(values: Any) -> list[list[float]]:
     """Return what each joint of both pairs is off the angle of its pair."""
     try:
-        front, rear = ([_number("joints", "offsets", a, _LARGEST_ANGLE) for a in p] for p in given)
+        front, rear = ([_number("joints", "offsets", a, _LARGEST_ANGLE) for a in p] for p in values)
     except (TypeError, ValueError):
         front = rear = []
     if front and rear:
         return [front, rear]
-    raise _refusal("joints", "value", f"has offsets {short(given)}", "one for each joint")
+    raise _refusal("joints", "value", f"has offsets {short(values)}", "one for each joint")
 
 
 def _check_frame(device: str, frame: object, allowed: str) -> None:

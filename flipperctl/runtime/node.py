@@ -18,7 +18,6 @@ import numpy as np
 
 from flipperctl.core import FloatArray
 from flipperctl.core.lidar.body import Mount, mounting
-from flipperctl.core.observation import edges
 from flipperctl.runtime.controller import Answer, FlipperController
 from flipperctl.runtime.devices import Devices
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, NewestJoints, Odometry
@@ -33,7 +32,6 @@ Source = Literal["policy", "operator", "nobody"]
 _LEVELS: dict[str, Level] = {"standby": "ok", "driving": "ok", "stopped": "error"}
 _PATIENCE = 2.0
 """Time after which a device that is silent is told [s]."""
-_SEEN, _UNSEEN, _PLAN = (0.1, 0.6, 0.2), (0.6, 0.6, 0.6), (0.9, 0.5, 0.1)  # colours
 
 
 class Place(NamedTuple):
@@ -80,17 +78,6 @@ class Diagnosis:
     """The reason of a fault, else the state."""
     values: dict[str, str]
     """``state``, ``fault``, ``commands`` (who does), and ``risk`` if there is one."""
-
-
-@dataclass(frozen=True)
-class Marker:
-    """Something to draw in ``frames.base``."""
-
-    name: Literal["map", "heights", "unseen", "plan", "risk"]
-    points: FloatArray
-    """(P, 3) [m]; of ``plan``, pairs of ends of lines."""
-    colour: tuple[float, float, float]
-    text: str = ""
 
 
 class RobotNode:
@@ -391,91 +378,10 @@ class RobotNode:
         level = _LEVELS.get(answer.state, "warn")
         return Diagnosis(level, answer.reason or answer.state, values)
 
-    def markers(self, answer: Command | None = None) -> list[Marker]:
-        """Return what the controller perceives and plans, in ``frames.base``.
-
-        ``answer``: the command whose flippers are drawn.
-        """
-        controller = self.controller
-        interface, ground, pitch = controller.policy.interface, controller.ground, controller.pitch
-        markers = [Marker("map", _level(controller.map_points, pitch), _UNSEEN)]
-        if ground is not None and ground.heights is not None:
-            # The mean height of each bin, and those in which nothing was seen
-            ends = edges(interface.bins, interface.bin_width)
-            x, z = (ends[1:] + ends[:-1]) / 2, ground.heights[: interface.bins]
-            points = _level(np.column_stack([x, np.zeros_like(x), z]), pitch)
-            seen = np.full(len(x), True) if ground.seen is None else ground.seen
-            markers.append(Marker("heights", points[seen], _SEEN))
-            markers.append(Marker("unseen", points[~seen], _UNSEEN))
-        policy, robot = controller.policy, interface.robot
-        if answer is not None and answer.flippers:
-            markers.append(Marker("plan", self._lines(answer, robot), _PLAN))
-        if policy.risk is not None:
-            text = f"risk {policy.risk:.2f}{' warning' if policy.warning else ''}"
-            markers.append(Marker("risk", np.array([[0.0, 0.0, 0.6]]), _PLAN, text))
-        return markers
-
-    def _lines(self, answer: Command, robot: Any) -> FloatArray:
-        """Return both pairs at their targets as lines from hinge to tip, (4, 3) [m]."""
-        half = robot["chassis_length"] / 2 - robot["track_radius"]
-        length = robot["flipper_length"] - robot["track_radius"]
-        signs, scale = self.devices.signs, self.devices.joints.scale
-        lines: list[list[float]] = []
-        firsts = (self.devices.joints.front[0], self.devices.joints.rear[0])
-        angles: dict[str, float] = dict(zip(answer.names, answer.angles, strict=True))
-        for name, sign, ahead in zip(firsts, (signs.front, signs.rear), (1, -1), strict=True):
-            mirrored = -1 if name.startswith("-") else 1
-            angle = mirrored * sign * scale * angles[name.lstrip("-")]
-            tip = half + length * math.cos(angle), length * math.sin(angle)
-            lines += [[ahead * half, 0.0, 0.0], [ahead * tip[0], 0.0, tip[1]]]
-        return np.array(lines)
-
     def _tell(self, text: str) -> None:
         if text not in self._warned:
             self._warned.add(text)
             self._warn(text)
-
-
-class Lockstep:
-    """Hands the messages of a simulated robot to a node sample by sample, in one order.
-
-    So an episode over topics, whose messages arrive in any order, repeats the one in process.
-    """
-
-    def __init__(self, node: RobotNode) -> None:
-        self._node = node
-        self.begin()
-
-    def begin(self) -> None:
-        """Begin an episode, whose messages count from 0."""
-        self._waiting: list[tuple[str, Any]] = []
-        self._received = 0
-        self._tick: tuple[float, float] | None = None
-        self._node.reset()
-
-    def take(self, device: str, message: Any) -> tuple[Command | None, Diagnosis] | None:
-        """Receive a message of ``belts``, ``joints``, ``imu`` or ``cloud``; see ``tick``."""
-        self._received += 1
-        self._waiting.append((device, message))
-        return None if self._tick is None else self.tick(*self._tick)
-
-    def tick(self, now: float, messages: float) -> tuple[Command | None, Diagnosis] | None:
-        """Step once all messages of a sample are there; None: some are still on their way.
-
-        ``now``: its time [s]; ``messages``: how many there were in the episode.
-        """
-        self._tick = now, messages
-        if self._received < messages:
-            return None
-        node, attitude = self._node, None
-        take = {"belts": node.belts, "joints": node.joints, "cloud": node.cloud}
-        for device in take:
-            for message in [m for name, m in self._waiting if name == device]:
-                take[device](now, message)
-        for message in [m for name, m in self._waiting if name == "imu"]:
-            attitude = node.imu(now, message)
-        self._waiting, self._tick = [], None
-        return node.step(now, attitude)
 
 
 def _seconds(stamp: Any) -> float:
@@ -504,10 +410,3 @@ def _product(a: Quaternion, b: Quaternion) -> Quaternion:
         aw * bz + ax * by - ay * bx + az * bw,
         aw * bw - ax * bx - ay * by - az * bz,
     )
-
-
-def _level(points: FloatArray, pitch: float) -> FloatArray:
-    """Return level points, (P, 3), in the chassis, which is pitched nose up [m, rad]."""
-    cos, sin = math.cos(pitch), math.sin(pitch)
-    x, y, z = points.reshape(-1, 3).T
-    return np.column_stack([cos * x + sin * z, y, cos * z - sin * x])

@@ -16,6 +16,7 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.ros.episode import export_bag
 from flipperctl.ros.messages import typestore
 from flipperctl.runtime.devices import Devices, devices_of
+from flipperctl.runtime.markers import markers_of
 from flipperctl.runtime.node import Command, Diagnosis, Place, RobotNode
 from tests.runtime.linear import RISK, ROBOT, RULE, write
 
@@ -284,7 +285,7 @@ def test_markers_show_what_it_perceives_and_plans(tmp_path: Path, stream: Stream
     file = write(tmp_path / "r.onnx", robot=ROBOT, targets=RULE, risky=True, risk=RISK)
     driver = Driver(file, stream).play(stream)
     turned = next(c for c in reversed(driver.commands) if c.flippers)
-    drawn = {marker.name: marker for marker in driver.node.markers(turned)}
+    drawn = {marker.name: marker for marker in markers_of(driver.node, turned)}
     assert set(drawn) == {"map", "heights", "unseen", "plan", "risk"}
     interface = driver.node.controller.policy.interface
     assert len(drawn["heights"].points) + len(drawn["unseen"].points) == interface.bins

@@ -18,7 +18,8 @@ from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.ros import simulate
 from flipperctl.ros.simulate import Link, TopicRobot
 from flipperctl.runtime.devices import Devices, devices_of
-from flipperctl.runtime.node import Lockstep, RobotNode
+from flipperctl.runtime.lockstep import Lockstep
+from flipperctl.runtime.node import RobotNode
 from tests.cli.call import call
 
 SCENE = ("terrain=paper_step", "sim=mujoco", "perception.azimuths=60")

@@ -26,7 +26,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from flipperctl.errors import FlipperctlError
 from flipperctl.runtime.devices import read_devices
-from flipperctl.runtime.node import Lockstep, Place, RobotNode
+from flipperctl.runtime.lockstep import Lockstep
+from flipperctl.runtime.markers import markers_of
+from flipperctl.runtime.node import Place, RobotNode
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 KINDS = {"plan": Marker.LINE_LIST, "risk": Marker.TEXT_VIEW_FACING}  # the others are points
@@ -251,7 +253,7 @@ class FlipperNode(LifecycleNode):
         )
         self.diagnostics.publish(DiagnosticArray(header=header, status=[status]))
         if self.pictures.get_subscription_count():
-            markers = [self.marker(header, m) for m in self.robot.markers(command)]
+            markers = [self.marker(header, m) for m in markers_of(self.robot, command)]
             self.pictures.publish(MarkerArray(markers=markers))
 
     def marker(self, header, drawn):
