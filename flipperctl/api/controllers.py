@@ -343,7 +343,7 @@ ControllerT = TypeVar("ControllerT", bound=Controller)
 
 
 def controller(name: str) -> Callable[[type[ControllerT]], type[ControllerT]]:
-    """Register a ``Controller``; choose it with ``--controller <name>``."""
+    """Register a ``Controller``; ``eval <name>`` plays it."""
     return register(Controller, name)
 
 

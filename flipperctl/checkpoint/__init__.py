@@ -39,6 +39,9 @@ TRUST = "FLIPPERCTL_TRUST"
 """Environment variable: folders below which runs load their copies of plugin files unasked."""
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
+_REPLACED = frozenset(("terrain", "reward", "controller", "logger", "agent"))
+"""Kinds of plugins without which a policy can drive."""
+
 
 @dataclass(frozen=True)
 class Checkpoint:
@@ -59,17 +62,20 @@ class Checkpoint:
         self._require_plugins()
         return self._parse(self.document.config.model_dump(mode="json"))
 
-    def policy_config(self) -> TrainConfig:
+    def policy_config(self, *, on_its_terrain: bool = False) -> TrainConfig:
         """Return the training configuration as far as the policy needs it.
 
         Stand-ins replace a terrain, reward terms and a learner whose plugins are missing; a teacher
-        and loggers whose plugins are missing are left out.
+        and loggers whose plugins are missing are left out. A policy with a risk needs the learner,
+        which states how the risk is used. ``on_its_terrain``: the terrain is needed, too.
         """
         self._load_trusted()
+        needed = {kind for kind in ("terrain",) if on_its_terrain}
+        needed |= {kind for kind in ("agent",) if self.part("risk")}
         # Plugins that were loaded in between change the result: remember it by what is registered.
-        known = frozenset(registry.items())
+        known = frozenset(registry.items()) | needed
         if known not in self._configs:
-            self._require_plugins(optional=("terrain", "reward", "controller", "logger", "agent"))
+            self._require_plugins(optional=_REPLACED - needed)
             files = {(p.kind, p.name): self._file(p.file) for p in self.document.plugins if p.file}
             settings = self.document.config.model_dump(mode="json")
             self._configs[known] = self._parse(with_stand_ins(settings, files))

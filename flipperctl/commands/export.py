@@ -118,7 +118,8 @@ def _export_policy(
     source = load_policy(checkpoint, takes="checkpoint", tell=print_note)
     saved = checkpoints.read(source.file)
     shipped = source.label() in checkpoints.shipped_policies()
-    name = source.label() if shipped else saved.config().terrain.plugin_name
+    trained = saved.policy_config(on_its_terrain=True)
+    name = source.label() if shipped else trained.terrain.plugin_name
     target = output or Path(f"{name}.onnx")
     check_output(target, FILE)
     typed = from_words(words)

@@ -103,7 +103,9 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
             change(plain, key, value, replace=True)
     if isinstance(rewards := plain.get("rewards"), dict):
         plain["rewards"] = {name: term for name, term in rewards.items() if term is not None}
-    return parse(type(config), plain)
+    # Other sections stay as they are: one may stand for a plugin that is missing.
+    changed = {key.partition(".")[0] for key in overrides}
+    return parse(type(config), plain | {k: v for k, v in config if k not in changed})
 
 
 def _is_named(key: str, value: object) -> bool:

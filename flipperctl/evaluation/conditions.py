@@ -240,7 +240,7 @@ def explain_missing_training(exported: bool) -> str:
     cause = (
         "an exported file does not hold those of its training; evaluate the checkpoint instead"
         if exported
-        else "they are those of a checkpoint's training and need --checkpoint"
+        else "they are those of a checkpoint's training, and no checkpoint is evaluated"
     )
     known = ", ".join(presets("conditions"))
     return f"conditions: {TRAINED!r} is not known here: {cause}; known: {known}"

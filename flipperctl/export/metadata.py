@@ -7,13 +7,14 @@ needs to run the file, as ``flipperctl.runtime.interface`` reads it.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
 from itertools import pairwise
 from typing import Any
 
 from flipperctl import __version__
 from flipperctl.api import ObservationLayout
-from flipperctl.checkpoint import plugin_references
+from flipperctl.checkpoint.document import PluginReference
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.core import observation
 from flipperctl.core.lidar.ground import MEANING as MEANING_OF_MAP
@@ -24,11 +25,13 @@ from flipperctl.core.targets import JOINTS, MEANING, turns
 from flipperctl.runtime.interface import FORMAT_VERSION, PREFIX
 
 
-def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
+def policy_metadata(
+    config: TrainConfig, plugins: Iterable[PluginReference] = (), risk: RiskSign | None = None
+) -> dict[str, str]:
     """Return the metadata of a policy without its checksum; values other than text are JSON.
 
-    ``config``: configuration of the training, with the robot that the export is for. ``risk``: when
-    the policy's risk is a warning, if it has one.
+    ``config``: configuration of the training, with the robot that the export is for. ``plugins``:
+    those of the training. ``risk``: when the policy's risk is a warning, if it has one.
     """
     layout, robot = config.perception, config.robot
     values: dict[str, Any] = {
@@ -50,7 +53,7 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
         "network": config.network.plugin_name,
     }
     # What only some policies have: plugins in files, a risk, an escape, a map.
-    if files := [p for p in plugin_references(config) if p.file is not None]:
+    if files := [p for p in plugins if p.file is not None]:
         values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
     if risk is not None:
         sign = {"meaning": MEANING_OF_RISK, **asdict(risk)}

@@ -28,7 +28,7 @@ from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.networks import outputs as outputs_of
 from flipperctl.agent.risk import Risk
 from flipperctl.api import Perception, Robot
-from flipperctl.checkpoint import Checkpoint
+from flipperctl.checkpoint import Checkpoint, plugin_references
 from flipperctl.config import EnvConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.config.identity import differences
 from flipperctl.config.resolver import named_robot
@@ -85,13 +85,14 @@ def export(
     """
     check_output(output, FILE)
     # The file is for this robot, which may differ from the training's.
-    trained = checkpoint.config()
+    trained = checkpoint.policy_config(on_its_terrain=True)
     changes = {f"robot.{name}": value for name, value in (robot or {}).items()}
     config = with_overrides(trained, changes)
     module, risk = policy_module(checkpoint), policy_risk(checkpoint)
     # Compared on observations of the policy's own episodes, with the robot of the file.
     observations = rollout_observations(config, module, OBSERVATIONS)
-    metadata = policy_metadata(config, None if risk is None else risk.sign)
+    sign = None if risk is None else risk.sign
+    metadata = policy_metadata(config, checkpoint.document.plugins, sign)
     if devices is not None:
         metadata[f"{PREFIX}{SECTION}"] = json.dumps(devices.to_json())
     # The exporter runs the network's code and wraps its errors.
@@ -153,7 +154,8 @@ def save_network(
             f"network: it returns {returns} for (2, {size}); (2, {count}) is allowed"
             f"{hint if shape == (2, outputs_of(other)) else ''}"
         )
-    metadata = policy_metadata(config) | {f"{PREFIX}network": type(network).__name__}
+    metadata = policy_metadata(config, plugin_references(config))
+    metadata |= {f"{PREFIX}network": type(network).__name__}
     data, outputs = _as_onnx(module, config, {**metadata, CHECKSUM: PLACEHOLDER})
     observations = rollout_observations(config, module, OBSERVATIONS)
     # Real inputs show what zeros do not: a module need not end in Tanh.
@@ -334,7 +336,7 @@ class _RecordingPolicy(TrainedPolicy):
 
 def rollout_observations(config: TrainConfig, module: nn.Module, count: int) -> NDArray[np.float32]:
     """Return at least ``count`` network inputs from the policy's own episodes, (M, F · n)."""
-    env = FlipperEnv(config=config.environment())
+    env = FlipperEnv(config=config.environment().model_copy(update={"rewards": {}}))
     policy = _RecordingPolicy(module, config.network.frames, config.actions)
     seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0
     # Whole episodes, with the seeds of an evaluation, until there are enough.

@@ -102,8 +102,8 @@ def load_policy(
         shared = name in shipped_policies() or name.startswith(hub.PREFIX)
         if shared or os.path.exists(name):  # noqa: PTH110  # of any length
             raise RequestError(
-                f"{prefix}controllers are allowed, and {name} is none; add --checkpoint {name}, "
-                "which may be repeated: policies stand in one table, on the same episodes"
+                f"{prefix}controllers are allowed, and {name} is none; name it as a policy beside "
+                "the others, which play the same episodes"
             )
         resolver.get("controller", name, where)
 

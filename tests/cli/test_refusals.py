@@ -23,7 +23,7 @@ eval level terrain=step --film f.gif --speed 0.3 -> multiples of 0.25
 eval level terrain=step --film f.gif --episodes 2 --episode 5 -> 0 to 1 is evaluated
 eval okada sim=planar,planar -> another engine is compared with planar
 eval okada conditions=varid -> did you mean 'varied'?
-eval okada conditions=trained -> need --checkpoint; known: nominal
+eval okada conditions=trained -> no checkpoint is evaluated; known: nominal
 train conditions=null -> conditions=null: a name is allowed
 train agent=sb4 -> there is no agent plugin 'sb4' | d3qn, policy_gradient, sb3
 train method=sb3 -> method: a learner is chosen by its name, agent=NAME (d3qn, policy_gradient, sb3)
@@ -74,7 +74,7 @@ train --resume nowhere -> nowhere | no such run
 train --plugins nowhere.py -> nowhere.py | does not exist
 replay nowhere.json -> nowhere.json: it cannot be read | No such file
 eval -> name a policy, as in: flipperctl eval generalist terrain=stair
-eval --controller okada --baseline generalist -> --baseline | add --checkpoint generalist
+eval --controller okada --baseline generalist -> --baseline | name it as a policy beside
 eval --controller okada --baseline none,okada -> --baseline: none stands alone | none,okada
 eval --controller okada conditions=wet.yaml -> 'wet' | known: nominal
 eval --checkpoint nowhere -> nowhere: there is no | controller | generalist

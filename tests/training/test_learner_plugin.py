@@ -14,6 +14,7 @@ from flipperctl.export.policy import export
 from flipperctl.plugging import plugins
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime.interface import PluginFile
 from flipperctl.training.run import check
 from tests.short import few, trainer
 from tests.training.conftest import require_resumes
@@ -86,5 +87,7 @@ def test_a_policy_outlives_the_learner_and_a_changed_state_is_refused(tmp_path: 
     del registry["agent", "sac"]
     best = checkpoint.read(tmp_path / checkpoint.BEST)
     assert policy_module(best)(torch.zeros(1, 33)).shape == (1, 2)
+    export(best, file := tmp_path / "best.onnx")
+    assert OnnxPolicy(file).interface.plugins == (PluginFile("agent", "sac", "sac.py"),)
     with pytest.raises(CheckpointError, match=r"there is no agent plugin 'sac'; .*sac\.py"):
         best.config()

@@ -70,6 +70,14 @@ def test_each_validation_calibrates_the_risk_and_the_checkpoint_has_the_numbers(
     assert last.sign.horizon == 8
 
 
+def test_a_policy_with_a_risk_needs_the_learner_which_states_its_escape(
+    escaping: Path, registry: dict
+) -> None:
+    del registry["agent", "d3qn"]
+    with pytest.raises(CheckpointError, match=r"there is no agent plugin 'd3qn'"):
+        checkpoint.read(escaping).policy_config()
+
+
 def test_a_checkpoint_without_the_weights_of_its_risk_is_refused(risky: Path) -> None:
     best = checkpoint.read(risky / checkpoint.BEST)
     del best.tensors["risk.layers.0.weight"]
