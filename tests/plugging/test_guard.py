@@ -3,22 +3,22 @@
 import pickle
 import re
 from pathlib import Path
+from textwrap import indent
 
 import numpy as np
 import pytest
 from pydantic import Field
 
 from flipperctl import errors
-from flipperctl.agent.networks import Noise, build_network, greedy
 from flipperctl.api import (
     AnyTerrain,
     Controller,
     Engine,
-    ObservationLayout,
     Profile,
     Terrain,
     controller,
     engine,
+    registry,
     terrain,
 )
 from flipperctl.config import EnvConfig, EvalConfig, resolver, with_overrides
@@ -31,50 +31,88 @@ from flipperctl.plugging import plugins
 from flipperctl.plugging.guard import attributed, naming_plugins, raise_named
 from flipperctl.policies.source import PolicySource
 from flipperctl.sim.versions import engine_versions
-from tests.cli.call import RUN, call
-from tests.long.misbehaving import unnamed
-from tests.long.odd_plugins import BEFORE, RAISED, RETURNED, SPOTS, Misbehaviour
+from tests.cli.call import call
 from tests.played import play_episodes
 
 pytestmark = pytest.mark.usefixtures("registry")
 
-FLAT = {"episode.run_out": 0.2}
+FLAT = {"name": "flat", "length": 0.5}
+BASES = {
+    "terrain": "flat", "reward": "end", "controller": "level", "sim": "planar",
+    "perception": "planar",
+}  # fmt: skip
+"""Kind → the plugin of which all but one method is kept."""
+BUILDS = {"sim": "place", "perception": "over"}
+"""Kind → the method that builds what has all methods that the plugin lacks."""
+PLUGIN = """
+import sys
+import warnings
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
+import numpy as np
+from pydantic import Field, field_serializer, field_validator, model_validator
+from flipperctl import errors
+from flipperctl.api import *
+from flipperctl.api import registry
+
+class Mine(BaseException): ...
+def deep(n): return deep(n + 1) + 1
+
+@{decorator}("odd")
+class Odd(registry[{kind!r}, {base!r}]):
+    'Misbehaves in one place.'
+{body}
+"""
+BUILT = """
+def {build}(self, *given):
+    built = super().{build}(*given)
+    class Faulty(type(built)):
+{method}
+    built.__class__ = Faulty
+    return built
+"""
+BODIES = {
+    "import": "raise KeyError('seven')",
+    "factory": "size: float = Field(default_factory=lambda: {}['seven'])",
+    "validator": "@model_validator(mode='after')\ndef whole(self): raise KeyError('seven')",
+    "field validator": "@field_validator('length')\n"
+    "@classmethod\n"
+    "def part(cls, value): raise KeyError('seven')",
+    "serialiser": "@field_serializer('length')\ndef written(self, value): raise KeyError('seven')",
+}
+"""Place before any method of a terrain → the lines that fail there."""
 
 
-def use(what: Misbehaviour, file: Path) -> None:
+def written(kind: str, spot: str, statement: str, folder: Path) -> Path:
+    """Write a plugin whose method ``spot``, or that of what it builds, is one statement."""
+    is_property = spot in ("first_difficulty", "bounds", "position", "pitch")
+    method = f"{'@property' * is_property}\ndef {spot}(self, *given): {statement}"
+    if kind in BUILDS and not hasattr(registry[kind, BASES[kind]], spot):
+        method = BUILT.format(build=BUILDS[kind], method=indent(method, 8 * " "))
+    file = folder / "odd_plugin.py"
+    decorator = {"sim": "engine", "perception": "sensor"}.get(kind, kind)
+    names = {"decorator": decorator, "kind": kind, "base": BASES[kind]}
+    file.write_text(PLUGIN.format(**names, body=indent(BODIES.get(spot, method), 4 * " ")))
+    return file
+
+
+def use(kind: str, file: Path) -> None:
     """Use the plugin as the commands do, until its code has run."""
     plugins.load([file])
-    defaults = resolver.defaults(resolver.get(what.kind, "odd", what.kind))
-    if what.kind == "controller":
-        config = with_overrides(EnvConfig(terrain="flat"), FLAT)
-        source = PolicySource(settings=defaults)
-    else:
-        config = with_overrides(EnvConfig(terrain="flat"), FLAT)
-        source = PolicySource(settings={"name": "level"})
-    if what.kind == "terrain":
-        config = EnvConfig(terrain="odd")
-        resolver.to_dict(config.terrain)
-        ground.first_difficulty(config.terrain)
-        ground.next_difficulty(config.terrain, 1.0, True)
-    if what.kind == "reward":
-        config = with_overrides(EnvConfig(terrain="flat"), {"rewards.odd": "odd", **FLAT})
-        resolver.to_dict(config.rewards["odd"])
-    if what.kind == "network":
-        layout = ObservationLayout()
-        network = resolver.create("network", "odd", "network")
-        resolver.to_dict(network)
-        module = build_network(network, layout, 9).train()
-        for _ in range(what.call):
-            greedy(module, np.zeros(layout.size, np.float32))
-        Noise(module).draw(np.random.default_rng(0))
-        return
-    if what.kind in ("sim", "perception"):
-        config = with_overrides(config, {what.kind: "odd"})
-        resolver.to_dict(config)
-        Conditions.of(EvalConfig(**dict(config)))
-        engine_versions(config.sim)
-        look_ahead(config)
-    play_episodes(config, source, episodes=1, seed=0)
+    changes = {"reward": {"rewards.odd": "odd"}, "sim": {"sim": "odd"}}
+    changes |= {
+        "perception": {"perception": "odd"},
+        "terrain": {"terrain": {**FLAT, "name": "odd"}},
+    }
+    config = with_overrides(EnvConfig(terrain=FLAT), changes.get(kind, {}))
+    resolver.to_dict(config)
+    ground.first_difficulty(config.terrain)
+    ground.next_difficulty(config.terrain, 1.0, True)
+    Conditions.of(EvalConfig(**dict(config)))
+    engine_versions(config.sim)
+    look_ahead(config)
+    driver = "odd" if kind == "controller" else "level"
+    play_episodes(config, PolicySource(settings={"name": driver}), episodes=1, seed=0)
 
 
 def look_ahead(config: EnvConfig) -> None:
@@ -89,47 +127,119 @@ def look_ahead(config: EnvConfig) -> None:
     assert env.drive.world.pitch == env.state.pitch
 
 
-def cases() -> list[Misbehaviour]:
-    """Return each value in its place, some exceptions in each place, each exception once."""
-    found = [
-        Misbehaviour(kind, spot, f"return {value}", 1)
-        for (kind, spot), values in RETURNED.items()
-        for value in values
-    ]
-    spots = [(kind, spot) for kind in SPOTS for spot in (*BEFORE, *SPOTS[kind])]
-    for index, statement in enumerate(RAISED):
-        for offset in (0, 14):
-            kind, spot = spots[(4 * index + offset) % len(spots)]
-            found.append(Misbehaviour(kind, spot, statement, 1))
-    return list(dict.fromkeys(found))
-
-
-@pytest.mark.parametrize("what", cases(), ids=str)
-def test_a_plugin_that_misbehaves_is_named(what: Misbehaviour, tmp_path: Path) -> None:
-    file, marker = tmp_path / "odd_plugin.py", tmp_path / "marker"
-    file.write_text(what.source(marker))
+def named(kind: str, spot: str, statement: str, folder: Path) -> str:
+    """Return the one line of the error, which names place, plugin and method."""
+    file = written(kind, spot, statement, folder)
     with pytest.raises(FlipperctlError) as error, naming_plugins():
-        use(what, file)
+        use(kind, file)
     text = str(error.value)
-    assert marker.exists()
     assert "\n" not in text
     assert len(text) < 1200
-    assert unnamed(what, text, file) == [], text
+    assert re.search(re.escape(str(file)) + r":\d+", text), text
+    assert "odd" in text.replace(str(file), "") or spot == "import", text
+    assert spot in text or spot in BODIES, text
+    return text
+
+
+@pytest.mark.parametrize(
+    ("statement", "words"),
+    [
+        ("raise ValueError", "(generate, "),  # by which a terrain refuses its settings
+        ("raise Mine('seven')", "raised Mine: seven"),
+        ("raise errors.ConfigError('seven')", "raised ConfigError: seven"),
+        ("raise StopIteration('seven')", "raised StopIteration: seven"),
+        ("raise GeneratorExit('seven')", "raised GeneratorExit: seven"),
+        ("raise BrokenProcessPool('seven')", "raised BrokenProcessPool: seven"),
+        ("raise RuntimeError('a\\nb\\tc\\x00d')", "raised RuntimeError: a b c?d"),
+        ("raise ValueError('x' * 10**6)", "xxx...xxx"),
+        ("sys.exit(0)", "raised SystemExit: 0"),
+        ("deep(0)", "raised RecursionError: maximum recursion depth"),
+        ("np.zeros(10**14)", "MemoryError: Unable to allocate"),
+        ("Profile('x')", "a profile is (V, 2) points"),
+        ("Odd(length=-1)", "Odd.length: Input should be greater than 0"),
+    ],
+)
+def test_whatever_a_plugin_raises_is_named(statement: str, words: str, tmp_path: Path) -> None:
+    assert words in named("terrain", "generate", statement, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "spot"),
+    [
+        *(("terrain", spot) for spot in BODIES),
+        ("reward", "__call__"),
+        ("reward", "bounds"),
+        ("controller", "build"),
+        ("controller", "act"),
+        ("sim", "place"),
+        ("sim", "command"),
+        ("sim", "save"),
+        ("perception", "sense"),
+    ],
+)
+def test_it_is_named_wherever_it_fails(kind: str, spot: str, tmp_path: Path) -> None:
+    assert "KeyError: 'seven'" in named(kind, spot, "raise KeyError('seven')", tmp_path)
+
+
+RETURNED = {
+    ("terrain", "generate"): (
+        "Profile([])",
+        "Profile([(-1e300, 0), (1e300, 0)])",
+        "Profile([(0, 0), (5000, 0)])",
+        "Profile([(0, 0), (1, 101)])",
+        "Profile(np.stack([np.linspace(0, 900, 90_000), np.arange(90_000) % 2], 1))",
+    ),
+    ("terrain", "at"): ("None",),
+    ("terrain", "first_difficulty"): ("1j", "2.0"),
+    ("terrain", "next_difficulty"): ("None",),
+    ("reward", "bounds"): ("None", "(1.0, 0.0)"),
+    ("sim", "place"): ("None", "Odd"),
+    ("sim", "position"): ("(1.0,)", "('a', 'b')", "(10**400, 0)"),
+    ("sim", "pitch"): ("'1.0'", "float('nan')"),
+    ("sim", "advance"): (
+        "None",
+        "np.empty((0, 5))",
+        "np.zeros((given[0], 4))",
+        "np.zeros((given[0] + 1, 5))",
+        "np.full((given[0], 5), np.nan)",
+    ),
+    ("sim", "state"): (
+        "RobotState",
+        "replace(super().state(), time='x')",
+        "replace(super().state(), position=np.zeros(3))",
+        "replace(super().state(), velocity=np.array([np.inf, 0]))",
+    ),
+    ("sim", "penetration"): ("None",),
+    ("sim", "versions"): ("{'a': 1}",),
+    ("sim", "files_read"): ("('x',)",),
+    ("perception", "over"): ("None",),
+    ("perception", "exact"): ("Odd(bins=3)",),
+    ("perception", "sense"): ("super().sense(*given)[:1]",),
+    ("controller", "build"): ("None", "Controller"),
+    ("controller", "act"): ("float('nan')",),
+}
+"""Kind and method → expressions that it must not return."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "spot", "value"),
+    [(*key, value) for key, values in RETURNED.items() for value in values],
+)
+def test_what_a_plugin_must_not_return_is_named(
+    kind: str, spot: str, value: str, tmp_path: Path
+) -> None:
+    named(kind, spot, f"return {value}", tmp_path)
 
 
 def test_an_interrupt_stays_one(tmp_path: Path) -> None:
-    what = Misbehaviour("terrain", "generate", "raise KeyboardInterrupt", 1)
-    file = tmp_path / "odd_plugin.py"
-    file.write_text(what.source(tmp_path / "marker"))
-    with pytest.raises(KeyboardInterrupt):
-        use(what, file)
+    file = written("terrain", "generate", "raise KeyboardInterrupt", tmp_path)
+    with pytest.raises(KeyboardInterrupt), naming_plugins():
+        use("terrain", file)
     assert call("inspect", "terrain", "odd", "--plugins", str(file), cwd=tmp_path).code == 130
 
 
 def test_the_plugin_inside_another_takes_the_blame(tmp_path: Path) -> None:
-    what = Misbehaviour("terrain", "generate", "raise IndexError('seven')", 1)
-    file = tmp_path / "odd_plugin.py"
-    file.write_text(what.source(tmp_path / "marker"))
+    file = written("terrain", "generate", "raise IndexError('seven')", tmp_path)
     plugins.load([file])
     config = EnvConfig(terrain={"name": "mirror", "terrain": {"name": "mix", "parts": ["odd"]}})
     line = 1 + next(i for i, t in enumerate(file.read_text().splitlines()) if "seven" in t)
@@ -218,34 +328,17 @@ def test_every_error_comes_back_whole_from_another_process(cls: type[FlipperctlE
     assert again.exit_code == cls.exit_code
 
 
-@pytest.mark.parametrize(
-    ("kind", "spot", "arguments"),
-    [
-        ("controller", "act", ["eval", "--controller", "odd", "terrain=flat", "--jobs", "2"]),
-        pytest.param(
-            *("network", "forward", ["train", "network=odd", "terrain=flat"]),
-            marks=pytest.mark.long,
-        ),
-    ],
-)
-def test_a_worker_that_would_leave_says_why(
-    kind: str, spot: str, arguments: list[str], tmp_path: Path
-) -> None:
-    # The network answers before the training, too, in the checks of its contract.
-    file = tmp_path / "odd_plugin.py"
-    what = Misbehaviour(kind, spot, "sys.exit(0)", 60 if kind == "network" else 3)
-    file.write_text(what.source(tmp_path / "marker"))
-    short = [f"{key}={value}" for key, value in RUN.items()] if arguments[0] == "train" else []
-    more = ["--episodes", "4"] if arguments[0] == "eval" else short
-    done = call(*arguments, *more, "--plugins", str(file), cwd=tmp_path)
+def test_a_worker_that_would_leave_says_why(tmp_path: Path) -> None:
+    file = written("controller", "act", "sys.exit(0)", tmp_path)
+    words = ("eval", "--controller", "odd", "terrain=flat", "--jobs", "2", "--episodes", "4")
+    done = call(*words, "--plugins", str(file), cwd=tmp_path)
     assert done.code == 1
-    assert re.search(rf"{kind} 'odd'.*{spot} raised SystemExit: 0 \({file}:\d+\)", done.err)
+    assert re.search(rf"controller 'odd'.*act raised SystemExit: 0 \({file}:\d+\)", done.err)
     assert len(done.err.partition("error: ")[2].strip().splitlines()) == 1
 
 
 def test_debug_shows_where_it_was_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = tmp_path / "odd_plugin.py"
-    file.write_text(Misbehaviour("terrain", "generate", "{}['key']", 1).source(tmp_path / "m"))
+    file = written("terrain", "generate", "{}['key']", tmp_path)
     monkeypatch.setenv("FLIPPERCTL_DEBUG", "1")
     with pytest.raises(PluginFailedError) as error:
         call("inspect", "terrain", "odd", "--plugins", str(file), cwd=tmp_path)
