@@ -1,7 +1,6 @@
-"""What ``python -m tests.long.golden`` runs: commands and Python expressions by name.
+"""What ``python -m tests.long.golden`` runs: commands of a shell by name.
 
 Names are the keys of the written file, so that a command may change its spelling and keep its key.
-A word with ``*`` is the first file that fits it. Expressions begin with ``flipperctl.``.
 """
 
 GROUNDS = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
@@ -24,13 +23,6 @@ EPISODES = {  # those that take longest first
     "okada occluded": f"--controller okada {_ALL} perception.occlusion=true --episodes 1",
 }
 """Arguments of ``eval``, about 200 episodes."""
-WALKS = {
-    "random planar": ("", {}),
-    "random lidar": ("", {"sim": "mujoco", "perception": "lidar"}),
-    "loaded okada": ("okada", {}),
-    "loaded generalist": ("generalist", {}),
-}
-"""Loaded policies, or none for random actions, and the arguments of the environment."""
 
 _SHORT = (
     "train.mode=exact train.decisions=300 train.validate_every=150 train.checkpoint_every=100 "
@@ -55,10 +47,8 @@ TRAININGS = {
     "refined": "experiment=refined agent.decisions=100 agent.batch_size=64",
     "risk": "terrain=plum agent.risk=true agent.risk_horizon=8",
     "sweep": "-m terrain=step seed=1,2 train.regret_episodes=0",
-    "resumed": "terrain=stair train.decisions=1500 train.regret_episodes=0",
-    "whole": "terrain=stair train.decisions=1500 train.regret_episodes=0",
 }
-"""Overrides of ``train`` beside short budgets; ``resumed`` is stopped once and equals ``whole``."""
+"""Overrides of ``train`` beside short budgets."""
 
 
 def training(name: str) -> str:
@@ -81,19 +71,12 @@ class Calm(api.RewardTerm):
 """
 FILES = {
     "calm.py": REWARD,
-    "broken.py": "def broken(:\n",
-    "fails.py": REWARD.replace("return -abs(", "raise ValueError('no pitch')  # "),
-    "text.safetensors": "no weights",
-    "text.onnx": "no network",
-    "text.json": "{}",
-    "odd.yaml": "scenes: [1]\n",
     "suite.yaml": "about: Two of my own.\nscenes:\n  low: terrain=step terrain.height=[-0.4,0.1]\n"
     "  far: terrain=gap,ramp sim.friction=0.7\n",
-    "file": "",
 }
 """Files that commands read."""
 
-NEEDED = ("paper", "risk", "sweep")
+NEEDED = {name: training(name) for name in ("paper", "risk", "sweep")}
 """Trainings whose runs the evaluations and exports read."""
 _OKADA = "eval --json --controller okada"
 _REWARD = "+reward@rewards.calm=calm --plugins calm.py"
@@ -125,20 +108,17 @@ EVALUATIONS = (
         "transfer": "eval --json okada sim=planar,mujoco terrain=stair,plum --episodes 3",
         "transfer lidar": "eval --json okada sim=planar,mujoco terrain=gap perception=lidar "
         "--episodes 1",
-        "audit": f"{_RETURNS} --controller okada terrain=stair --episodes 5 {_REWARD}",
-        "regret": f"{_RETURNS} --controller okada --regret --against level terrain=stair,ramp "
-        "--episodes 8",
-        "compare": f"{_RETURNS} --compare level,okada,generalist terrain=step,ramp "
+        "audit": f"{_RETURNS} okada terrain=stair --episodes 5 {_REWARD}",
+        "regret": f"{_RETURNS} okada level --regret terrain=stair,ramp --episodes 8",
+        "compare": f"{_RETURNS} level okada generalist terrain=step,ramp "
         "rewards=paper,smooth --episodes 6",
-        "python": 'flipperctl.evaluate("paper", terrain=["stair", "gap"], episodes=5, '
-        'baselines=["level"], by=["steps"], progress=False).to_dict()',
         "config": "inspect config --json",
         "terrain": "inspect terrain building_stair --json",
     },
     {
         "methods": "compare seeds --against okada --json",
         "results": "compare several --measure t_cost --price 60 --json",
-        "replay": "replay --json several/failure_*.json",
+        "replay": "replay --json $(ls several/failure_*.json | head -n 1)",
         "again": f"{_SEVERAL} --episodes 10",
         "run": "inspect run risk --json",
         "checkpoint": "inspect checkpoint risk --json",
@@ -154,40 +134,15 @@ EXPORTS = {
     "urdf": "export urdf terrain=stair robot=absolem --output absolem.urdf",
 }
 
-REFUSALS = """
-: trian | new terrian mine | new terrain My-Name | new reward pitch | bench nope | inspect nope
-eval: | --controler okada | --controller okado | --controller generalist | --checkpoint okada
-eval --checkpoint: nowhere | text.safetensors | cut.safetensors | flipped.safetensors | text.onnx
-eval --checkpoint paper: conditions=trianed | agent.gamma=0.5 | robot.chassis_mass=-1
-eval --controller okada: terrain=stiar | terrain=stair,step,stiar | terrain=null | friction=1
-eval --controller okada: terrain=stair terrain.rise=-1 | train.decisions=5 | sim.friction=slippery
-eval --controller okada: randomise.sim.friction=true | conditions=trained | --friction 0.6
-eval --controller okada: --episodes 0 | --episodes x | --episodes 3 eval.episodes=4 | --seed -1
-eval --controller okada: --baseline levl | --baseline none,okada | --passable generalist | --jobs 0
-eval --controller okada terrain=step: --by hieght | --film x.png
-map okada terrain=step: | --over terrain.height=0.1 | --over terrain.hihgt=0:1,sim.friction=0.4:1
-eval --controller okada: --output file/out | suite=nope | suite=odd.yaml
-eval --controller okada: --plugins nowhere.py | --plugins broken.py | controller.faar=1
-eval --controller okada: --plugins fails.py +reward@rewards.calm=calm terrain=step --episodes 1
-replay: text.json | nowhere.json
-train: terrain=stiar | terain=stair | terrain stair | seed=1,2 | agent.gamma=1.5 | agent.gama=0.9
-train: experiment=nope | rewards.pitch.lamda_2=3 | +reward@rewards.x=pich | ~rewards | rewards=tunde
-train: network=at_d3q | device=gpu | teacher=okdaa | agent.start_from=nowhere | --resume nowhere
-train: hydra.run.dir=paper | hydra.run.dir=file/run | --resume sweep
-train: -m seed=1,2 agent.gamma=0.9,7 | --resume paper agent.gamma=0.9
-compare: nowhere
-card: nowhere | paper nowhere
-export onnx: nowhere | paper --output no/x.onnx | okada
-export: onxx paper | onnx paper --output calm.py
-robot ground: nowhere --output x.xyz | file --output x.xyz
-robot shadow: nowhere.onnx nowhere | text.onnx nowhere
-robot: check nowhere | self-test nowhere | shadow
-inspect: plugins stiar | terrain stiar | terrain stair --output x.bmp | reward --compare okada
-inspect: checkpoint nowhere | checkpoint flipped.safetensors | run sweep
-inspect: config agent.gama=1
-flipperctl.evaluate: ("okado") | ("okada", terrain="stiar") | ("okada", episodes=0)
-flipperctl.evaluate: ("okada", baselines="level") | ("cut.safetensors") | ("okada", by=["hight"])
-flipperctl.train: (terrain="stiar") | (train={"decisons": 5}) | (resume="nowhere") | (device="gpu")
-flipperctl.load: ("nope") | ("okada", faar=0.8) | ("text.onnx") | ("generalist", far=0.8)
-"""
-"""Beginnings and, between bars, what follows each: requests that are wrong."""
+PARTS = {
+    "episodes": (
+        {
+            name: f"eval {words} --seed 5 --baseline none --json --output '{name}'"
+            for name, words in EPISODES.items()
+        },
+    ),
+    "trainings": ({name: training(name) for name in TRAININGS},),
+    "evaluations": (NEEDED, *EVALUATIONS),
+    "export": (NEEDED, EXPORTS),
+}
+"""Part → batches of commands; those of a batch run at the same time."""

@@ -28,8 +28,8 @@ def short(command: str) -> list[str]:
         if word in SHORT:
             words[i + 1] = str(-(-int(words[i + 1]) // SHORT[word]))
         elif word == "--only":
-            words[i + 1] = "refusals"
-    return [*words, "--only", "refusals"] if "--write" in words else words
+            words[i + 1] = "export"
+    return [*words, "--only", "export"] if "--write" in words else words
 
 
 @pytest.fixture(scope="module")
