@@ -13,7 +13,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, Done, call
-from tests.long.forked import differences, result
+from tests.long.runs import differences, result
 
 pytestmark = pytest.mark.slow
 

@@ -18,7 +18,7 @@ from flipperctl.training.listeners import Companion
 from flipperctl.training.sweep import folder_name
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call, refused
-from tests.long.forked import differences, result
+from tests.long.runs import differences, result
 
 pytestmark = pytest.mark.slow
 

@@ -108,15 +108,6 @@ def heading_alone(turn: Rotation) -> Rotation:
     return Rotation.from_euler("z", turn.as_euler("ZYX")[0])
 
 
-def frozen_attitude(rows: list[Row], rng: Rng) -> None:
-    """The unit repeats the orientation of a time before the bump."""
-    begin, first = rng.uniform(0.2, 1.5), None
-    for row in of(rows, IMU):
-        if row.stamp >= begin:
-            first = first or row.values["turn"]
-            row.values["turn"] = first
-
-
 def turned_unit(rows: list[Row], rng: Rng) -> None:
     """The unit is mounted in another way than tf tells."""
     axis = rng.normal(size=3) * (1, 1, 0)
@@ -140,14 +131,6 @@ def speed_of_the_world(rows: list[Row], rng: Rng) -> None:
     angle = rng.choice([-1, 1]) * rng.uniform(1.3, 3.1)
     for row in of(rows, ODOM):
         row.values["speed"] = Rotation.from_euler("z", angle).apply(row.values["speed"])
-
-
-def partly_filled(rows: list[Row], rng: Rng) -> None:
-    """The speed is 0 for more than half of the drive."""
-    begin = rng.uniform(0, 0.4) * SECONDS
-    for row in of(rows, ODOM):
-        if begin <= row.stamp <= begin + 0.6 * SECONDS:
-            row.values["speed"] = np.zeros(3)
 
 
 def wrong_joint(rows: list[Row], rng: Rng) -> None:
@@ -174,14 +157,6 @@ def clock_set(rows: list[Row], rng: Rng) -> None:
         row.stamp += shift * (row.stamp > at)
 
 
-def standing_stamps(rows: list[Row], rng: Rng) -> None:
-    """The stamps of a device stand still for a while."""
-    topic, begin = str(rng.choice([IMU, ODOM, JOINTS, POINTS])), rng.uniform(1, 6)
-    for row in of(rows, topic):
-        if begin < row.stamp < begin + 6:
-            row.stamp = begin
-
-
 def second_publisher(rows: list[Row], rng: Rng) -> None:
     """Another node publishes the pose of the chassis, shifted, turned, or of a shorter way."""
     offset, factor = rng.normal(size=3), rng.uniform(0, 0.7)
@@ -206,24 +181,6 @@ def map_jump(rows: list[Row], rng: Rng) -> None:
         row.values["place"] = row.values["place"] + jump * (row.stamp > at)
 
 
-def two_mounts(rows: list[Row], rng: Rng) -> None:
-    """Two nodes publish the fixed place of the chassis on the map, and differ."""
-    for row in list(of(rows, TF, "odom")):
-        rows.remove(row)
-    for x in (0.0, rng.uniform(0.01, 1)):
-        values = {"place": np.array([x, 0, 0]), "turn": Rotation.identity(), "child": "odom"}
-        rows.append(Row(0.0, "/tf_static", 0.0, values))
-
-
-def repeated_cloud(rows: list[Row], rng: Rng) -> None:
-    """The driver repeats a cloud with new stamps."""
-    begin, last = rng.uniform(1, 9), None
-    for row in of(rows, POINTS):
-        if row.stamp > begin:
-            last = last if last is not None else row.values["points"]
-            row.values["points"] = last
-
-
 _FLIP = Rotation.from_euler("x", np.pi)
 ATTITUDE = {"attitude"}
 KINDS: dict[str, tuple[Callable[[list[Row], Rng], None], set[str]]] = {
@@ -232,19 +189,14 @@ KINDS: dict[str, tuple[Callable[[list[Row], Rng], None], set[str]]] = {
     "z down": (_turned(lambda turn: _FLIP * turn), ATTITUDE),
     "NED": (_turned(lambda turn: _FLIP * turn * _FLIP), ATTITUDE),
     "inverse": (_turned(lambda turn: turn.inv()), ATTITUDE),
-    "frozen attitude": (frozen_attitude, ATTITUDE),
     "turned unit": (turned_unit, ATTITUDE),
     "belts' unit": (_scaled(ODOM, "speed", (-9, 0.5), (2.6, 9), (900, 1100)), {"belts"}),
     "world axes": (speed_of_the_world, {"belts"}),
-    "partly filled": (partly_filled, {"belts"}),
     "wrong joint": (wrong_joint, {"joints"}),
     "shifted stamps": (shifted_stamps, {"stamps"}),
     "clock set": (clock_set, {"stamps"}),
-    "standing stamps": (standing_stamps, {"stamps"}),
     "second publisher": (second_publisher, {"transforms"}),
     "map jump": (map_jump, {"transforms"}),
-    "two mounts": (two_mounts, {"transforms"}),
-    "repeated cloud": (repeated_cloud, {"cloud"}),
 }
 """Kind → its change, and the checks, by the part of their names before ``_``, that report it."""
 

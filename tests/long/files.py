@@ -8,8 +8,15 @@ which the exit code is 1.
 """
 
 import argparse
+import contextlib
+import faulthandler
+import io
+import resource
+import signal
 import sys
 import tempfile
+import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -24,19 +31,25 @@ from trimesh import PointCloud as PlyCloud
 
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import FlipperctlError
 from flipperctl.plugging import plugins
 from tests.long import signed
-from tests.long.isolated import Verdict, run_isolated
 from tests.long.mutations import BYTES, Rng, number_at_the_start
 from tests.plugins.test_mesh import solid, write
 
 KINDS = ("checkpoint", "onnx", "ground")
 VERDICTS = ("refused", "equal", "other", "silent", "traceback", "noise", "hang")
 BAD = VERDICTS[3:]
+Verdict = tuple[str, str]
+"""One of ``VERDICTS``, and a text."""
 Case = tuple[str, Callable[[Rng], bytes], str, bool]
 """Name of the mutation; the mutant; name of the original; whether it may be read as another."""
 
 
+LIMIT = 20.0
+"""Longest time of a case [s]."""
+MEMORY = 3 << 30
+"""Address space that a case may use beyond that of this process [B]."""
 LINE = {"start": (0.2, 0.5), "end": (1.8, 0.5)}
 LONGEST = 60.0
 """Longest outline on which an episode is begun [m]; a longer one is only generated."""
@@ -161,8 +174,57 @@ class Fuzz:
 
     def run(self, count: int) -> Iterator[tuple[str, Verdict]]:
         """Yield the mutation and the verdict of each of ``count`` cases."""
-        for index, verdict in enumerate(run_isolated(count, self.check)):
-            yield self.mutation(index), verdict
+        for index in range(count):
+            yield self.mutation(index), self.verdict(index)
+
+    def verdict(self, index: int) -> Verdict:
+        """Return what reading a mutant has come to, within ``LIMIT`` and ``MEMORY``."""
+        printed = io.StringIO()
+        try:
+            with _limited(), _strict(printed):
+                result = self.check(index)
+        except FlipperctlError as error:
+            result, text = "refused", str(error)
+            plain = text.replace("\n", "", 1).isprintable()
+            if error.exit_code != 2 or not plain:
+                return "traceback", f"exit code {error.exit_code}: {text!r}"
+        except TimeoutError:
+            return "hang", f"no verdict within {LIMIT:g} s"
+        except (Exception, SystemExit):  # noqa: BLE001 - the fuzz looks for any other error
+            return "traceback", traceback.format_exc()[-600:]
+        else:
+            text = ""
+        return ("noise", printed.getvalue()) if printed.getvalue() else (result, text)
+
+
+@contextmanager
+def _limited() -> Iterator[None]:
+    """Raise ``TimeoutError`` after ``LIMIT``, and ``MemoryError`` beyond ``MEMORY``."""
+
+    def stop(*_: object) -> None:
+        raise TimeoutError
+
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    before = signal.signal(signal.SIGALRM, stop)
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY, limits[1]))
+    signal.setitimer(signal.ITIMER_REAL, LIMIT)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        resource.setrlimit(resource.RLIMIT_AS, limits)
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextmanager
+def _strict(printed: io.StringIO) -> Iterator[None]:
+    """Raise warnings, and keep what is printed."""
+    outputs = contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed)
+    with warnings.catch_warnings(), outputs[0], outputs[1]:
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        yield
 
 
 @contextmanager
@@ -181,6 +243,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", default=",".join(KINDS))
     options = parser.parse_args(arguments)
+    faulthandler.enable()  # a crash ends the command
     counts: dict[tuple[str, str], Counter[str]] = {}
     bad = 0
     for kind in options.kind.split(","):

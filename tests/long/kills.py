@@ -8,30 +8,40 @@ bit. It prints a table and fails on any violation.
 """
 
 import argparse
+import contextlib
 import csv
+import os
 import random
 import shutil
 import signal
+import subprocess
 import sys
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tests.long.forked import (
-    QUICK,
-    Command,
-    Tally,
-    differences,
-    preload,
-    report,
-    result,
-    start,
-)
+from tests.long.runs import differences, result
 
+LIMIT = 120.0
+"""Time after which a command counts as hanging [s]."""
+_GRACE = 20.0
+"""Time that workers have to end after their main process [s]."""
+QUICK = [
+    "terrain=step",
+    "train.decisions=300",
+    "train.validate_every=100",
+    "train.checkpoint_every=70",
+    "train.validation_episodes=1",
+    "train.regret_episodes=1",
+    "agent.learning_starts=50",
+    "agent.epsilon_decisions=200",
+    "agent.batch_size=32",
+]
+"""Arguments of a training of about a second."""
 LAST = Path("checkpoints/last.safetensors")
 RESUME = ["train", "--resume", "run"]
 AGAIN = 0.3
@@ -56,6 +66,115 @@ PAIRS = ("fresh + fresh", "resume + resume", "fresh + resume")
 REFUSALS = ("is being trained by", "already holds a run", "no such run", "holds neither")
 
 
+@dataclass
+class Command:
+    """A ``flipperctl`` command in its own process and process group."""
+
+    process: subprocess.Popen[bytes]
+    log: Path
+    begun: float
+
+    @classmethod
+    def start(cls, arguments: list[str], folder: Path, log: Path) -> "Command":
+        """Start the command in ``folder``; ``log`` gets what it writes."""
+        words = [sys.executable, "-m", "flipperctl", *arguments]
+        with log.open("ab") as file:
+            process = subprocess.Popen(
+                words,
+                cwd=folder,
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=file,
+                start_new_session=True,
+            )
+        return cls(process, log, time.monotonic())
+
+    @property
+    def code(self) -> int | None:
+        """The exit code; None while it runs."""
+        return self.process.poll()
+
+    @property
+    def age(self) -> float:
+        """Time since its start [s]."""
+        return time.monotonic() - self.begun
+
+    @property
+    def text(self) -> str:
+        """The output of the command so far."""
+        return self.log.read_text(errors="replace")
+
+    def wait(self, limit: float = LIMIT) -> bool:
+        """Wait for the end; after ``limit`` [s], kill the group and return False."""
+        try:
+            self.process.wait(limit)
+        except subprocess.TimeoutExpired:
+            self.kill_group()
+            return False
+        return True
+
+    def send(self, number: int, *, everyone: bool = False) -> None:
+        """Send a signal to the main process, or to its workers too, unless it has ended."""
+        with contextlib.suppress(ProcessLookupError):
+            (os.killpg if everyone else os.kill)(self.process.pid, number)
+
+    def kill_group(self) -> None:
+        """Kill the process and its workers."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+
+    def workers_ended(self) -> bool:
+        """Return whether all workers have ended too; kill those that have not."""
+        end = time.monotonic() + _GRACE
+        while _members(self.process.pid):
+            if time.monotonic() > end:
+                self.kill_group()
+                return False
+            time.sleep(0.02)
+        return True
+
+
+def _members(group: int) -> list[int]:
+    """Return the living processes of a process group, read from ``/proc``."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            state, _, leader = (entry / "stat").read_text().rpartition(")")[2].split()[:3]
+            if int(leader) == group and state not in "ZX":
+                found.append(int(entry.name))
+    return found
+
+
+@dataclass
+class Tally:
+    """The results of the cases of one kind."""
+
+    count: int = 0
+    tracebacks: int = 0
+    hangs: int = 0
+    changes: int = 0
+    wrong_codes: int = 0
+    codes: Counter[int | None] = field(default_factory=Counter)
+
+    def check(self, command: Command, *expected: int) -> None:
+        """Count the exit code of a command, and whether it is one of the expected codes."""
+        self.codes[command.code] += 1
+        self.wrong_codes += command.code not in expected
+        words = ("Traceback", "Exception ignored", "Fatal Python error", "error in flipperctl")
+        self.tracebacks += any(word in command.text for word in words)
+
+    def add(self, other: "Tally") -> None:
+        """Add the numbers of another tally."""
+        for name, value in vars(other).items():
+            setattr(self, name, getattr(self, name) + value)
+
+    @property
+    def violations(self) -> int:
+        """Number of violations."""
+        return self.tracebacks + self.hangs + self.changes + self.wrong_codes
+
+
 @dataclass(frozen=True)
 class Reference:
     """Runs that were left alone: a training, or the jobs of a sweep."""
@@ -74,9 +193,9 @@ class Reference:
     def of(cls, arguments: list[str], folder: Path) -> "Reference":
         """Train to the end; return the runs with the times."""
         folder.mkdir()
-        command = start(arguments, folder, folder / "log")
+        command = Command.start(arguments, folder, folder / "log")
         times = dict.fromkeys((Path("config.yaml"), LAST), 0.0)
-        while not command.ended():
+        while command.code is None:
             for file, known in times.items():
                 if not known and (folder / "run" / file).exists():
                     times[file] = command.age
@@ -97,13 +216,13 @@ class Case:
         folder.mkdir()
 
     def start(self, arguments: list[str], log: str = "log") -> Command:
-        return start(arguments, self.folder, self.folder / log)
+        return Command.start(arguments, self.folder, self.folder / log)
 
     def stop(self, command: Command, at: float, number: int, *, everyone: bool = False) -> bool:
         """Send a signal at a time [s]; wait for all processes; return whether it came in time."""
-        while command.age < at and not command.ended():
+        while command.age < at and command.code is None:
             time.sleep(0.001)
-        in_time = not command.ended()
+        in_time = command.code is None
         command.send(number, everyone=everyone)
         self.tally.hangs += not command.wait()
         if number == signal.SIGKILL:
@@ -112,15 +231,12 @@ class Case:
             command.kill_group()
         return in_time and command.code != 0
 
-    def end(self, arguments: list[str], expected: int, *, joblib: bool = False) -> None:
-        """Run a command to its end, and those of joblib's processes that it leaves."""
+    def end(self, arguments: list[str], expected: int) -> None:
+        """Run a command to its end."""
         command = self.start(arguments)
         self.tally.hangs += not command.wait()
         self.tally.check(command, expected)
-        if joblib:  # a forked command leaves without joblib's own end of its processes
-            command.kill_group()
-        else:
-            self.tally.hangs += not command.workers_ended()
+        self.tally.hangs += not command.workers_ended()
 
     def compare(self, text: str, *faults: str) -> Tally:
         """Compare the runs with the reference; keep the folder if something is wrong."""
@@ -165,7 +281,7 @@ def sweep(case: Case, stop: str) -> Tally:
         case.tally.check(command, *expected)
         if command.code == 0:
             break
-    case.end(case.model.arguments, 0, joblib=True)
+    case.end(case.model.arguments, 0)
     with (case.folder / "run" / "sweep.csv").open(newline="") as file:
         states = [row["state"] for row in csv.DictReader(file)]
     wrong = states != ["finished"] * len(case.model.found)
@@ -269,6 +385,15 @@ class Cases:
         raise SystemExit(f"only {done} of {count} pairs met")
 
 
+def report(tallies: dict[str, Tally], seconds: float) -> int:
+    """Print a line for each kind; return the exit code."""
+    for kind, tally in sorted(tallies.items()):
+        print(f"{kind}: {tally}")
+    found = sum(tally.violations for tally in tallies.values())
+    print(f"{sum(t.count for t in tallies.values())} cases in {seconds:.0f} s, {found} violations")
+    return 1 if found else 0
+
+
 def main() -> None:
     """Parse the command line and run the cases."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -276,7 +401,6 @@ def main() -> None:
         parser.add_argument(f"--{name}", type=int, default=count)
     options = parser.parse_args()
     begun = time.monotonic()
-    preload()
     tallies: dict[str, Tally] = defaultdict(Tally)
     with TemporaryDirectory(prefix="kills-", ignore_cleanup_errors=True) as folder:
         cases = Cases(options.seed, Path(folder))
