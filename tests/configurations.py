@@ -4,14 +4,9 @@
 of any type but those that ``_values`` knows keeps its default; ``left_out`` lists these.
 """
 
-import contextlib
-import io
 import math
 import re
-import signal
-import traceback
 import types
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -30,8 +25,6 @@ from flipperctl.errors import RequestError
 from flipperctl.training.run import start
 
 DECISIONS = 60
-LIMIT = 60.0
-"""Longest computing time of a training [s]."""
 FIXED = {
     "train.mode": "exact",
     "train.decisions": DECISIONS,
@@ -201,7 +194,7 @@ def _bounds(metadata: tuple) -> tuple[float, float, tuple[bool, bool]]:
 
 
 def _numbers(kind: type, metadata: tuple, most: float | None) -> st.SearchStrategy:
-    """Return numbers at, next to and between the bounds, of every order of magnitude."""
+    """Return numbers between the bounds, as Hypothesis draws them: often the simplest."""
     low, high, (above, below) = _bounds(metadata)
     if not math.isfinite(high):
         high = DEAREST
@@ -209,20 +202,9 @@ def _numbers(kind: type, metadata: tuple, most: float | None) -> st.SearchStrate
         low = -high
     high = min(high, most) if most is not None else high
     if kind is int:
-        first, last = int(low) + above, int(high) - below
-        near = [n for n in (first, first + 1, last - 1, last) if first <= n <= last]
-        return st.one_of(st.sampled_from(near), st.integers(first, last))
-    first = math.nextafter(low, math.inf) if above else float(low)
-    last = math.nextafter(high, -math.inf) if below else float(high)
-    near = [first, last, math.nextafter(first, math.inf), math.nextafter(last, -math.inf)]
-    uniform = st.floats(first, last, allow_subnormal=False, width=64)
-    if first >= 0:
-        smallest = max(first, 1e-9 * last)
-        logarithmic = st.floats(math.log(smallest), math.log(last)).map(
-            lambda power: min(last, max(first, math.exp(power)))
-        )
-        return st.one_of(st.sampled_from(near), uniform, logarithmic)
-    return st.one_of(st.sampled_from(near), uniform)
+        return st.integers(int(low) + above, int(high) - below)
+    bounds = {"min_value": float(low), "max_value": float(high)}
+    return st.floats(**bounds, exclude_min=above, exclude_max=below, allow_subnormal=False)
 
 
 @st.composite
@@ -284,52 +266,16 @@ def left_out() -> list[str]:
     return sorted({s.path for s in settings if s.values() is None} - set(NOT_DRAWN))
 
 
-def attempt(drawn: Overrides, folder: Path) -> str:
-    """Train 60 decisions with the drawn overrides in an empty folder; return what is wrong.
+def attempt(drawn: Overrides, folder: Path) -> None:
+    """Train 60 decisions with the drawn overrides in an empty folder.
 
-    A refusal is right where it names a section.
+    A refusal is right where it names a section; any other error is a fault.
     """
     try:
-        with _limited(), _strict(), contextlib.redirect_stderr(io.StringIO()):
-            base = TrainConfig(terrain="flat", network="at_d3qn")
-            config = with_overrides(base, {**FIXED, "terrain": {"name": "flat"}, **drawn})
-            start(config, folder)
+        base = TrainConfig(terrain="flat", network="at_d3qn")
+        start(with_overrides(base, {**FIXED, "terrain": {"name": "flat"}, **drawn}), folder)
     except RequestError as error:
         names = "|".join((*SECTIONS, *GROUPS, "rewards", "randomise"))
         text = str(error).replace("flipperctl train", "")
-        named = re.search(rf"\b({names})\b|\breward '", text)
-        return "" if named else f"no section is named: {error}"
-    except _OutOfTimeError:
-        return "it takes too long"
-    except Exception:  # noqa: BLE001  # any other error is a fault
-        return traceback.format_exc()
-    return ""
-
-
-@contextlib.contextmanager
-def _strict() -> Iterator[None]:
-    """Raise numpy's warnings of overflows and of numbers that are not finite."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # such as what libraries say once, at their import
-        warnings.simplefilter("error", RuntimeWarning)
-        yield
-
-
-class _OutOfTimeError(KeyboardInterrupt):
-    """A training computed for longer than ``LIMIT``; no plugin's fault, like an interrupt."""
-
-
-@contextlib.contextmanager
-def _limited() -> Iterator[None]:
-    """Raise ``_OutOfTimeError`` in this block after ``LIMIT``."""
-
-    def stop(*_: object) -> None:
-        raise _OutOfTimeError
-
-    before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, LIMIT)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
+        if not re.search(rf"\b({names})\b|\breward '", text):
+            raise  # it names no section
