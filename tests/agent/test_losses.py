@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.frames import stacked
 from flipperctl.agent.losses import (
     Adam,
-    _typical,
     descend,
     double_q_target,
     double_quantile_target,
@@ -20,8 +19,6 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.api import Network, ObservationLayout
-from flipperctl.config import resolver
 from flipperctl.learners.settings import linear
 
 
@@ -111,10 +108,6 @@ def searched() -> torch.Tensor:
     )
 
 
-def test_searched_values_that_are_met_cost_nothing() -> None:
-    assert float(searched_values(searched(), searched(), 5.0)) == 0.0
-
-
 def test_a_common_offset_of_a_group_costs_a_tenth_of_its_size() -> None:
     """The best values are 1, 4 and -5, -2: 1.5 off the means of their groups."""
     offset = torch.tensor([4.0, -3.0]).view(2, 1, 1)
@@ -152,11 +145,6 @@ def test_where_most_actions_are_equal_the_others_give_the_scale() -> None:
     found, ignored = (float(searched_values(values, targets, 5.0)) for values in (close, flat))
     assert 0.0 < found < 0.1
     assert ignored > 0.3
-
-
-def test_the_scale_is_the_median_gap_or_that_of_those_that_are_not_negligible() -> None:
-    for gaps, scale in (((0, 0, 1, 2, 3), 1.0), ((0, 0, 0, 1, 3), 1.0), ((0, 0, 0), 0.0)):
-        assert _typical(torch.tensor(gaps, dtype=torch.float32)) == scale
 
 
 def test_no_reward_s_scale_matters_for_the_searched_values() -> None:
@@ -217,10 +205,3 @@ def test_the_newest_observations_in_a_row(recent: tuple, frames: int, numbers: l
     row = stacked(recent, frames)
     assert row.dtype == np.float32
     assert row.tolist() == numbers
-
-
-def test_the_size_of_a_network_s_input_row() -> None:
-    layout = ObservationLayout(bins=5)
-    network = resolver.create("network", {"name": "stacked", "window": 3}, "network")
-    assert isinstance(network, Network)
-    assert input_size(network, layout) == 3 * 13

@@ -151,7 +151,6 @@ class Odd(nn.Linear):
     ("module", "text"),
     [
         (nn.Linear(LAYOUT.size, 4), r"must give Q-values \(2, 9\), .*; the output is \(2, 4\)"),
-        (nn.Sequential(nn.Linear(LAYOUT.size, 9), nn.Flatten(0)), rf"output is \({2 * ACTIONS},\)"),
         (nn.Linear(5, 9), rf"fails on \(2, {LAYOUT.size}\) in train\(\) mode"),
         (nn.LSTM(LAYOUT.size, 9), "the output is a tuple"),
         (len, "must return a torch module; got builtin_function_or_method"),

@@ -128,15 +128,6 @@ def test_the_temperature_falls_linearly_or_stays() -> None:
     assert PolicyGradient(temperature=0.2).temperature_at(0.9) == 0.2
 
 
-def test_a_lower_temperature_leads_the_same_values_to_other_probabilities() -> None:
-    agent = learner()
-    batch = round_of(agent, np.random.default_rng(0))
-    early = agent._policy_step(batch, torch.zeros(256), TEMPERATURE, 0.0)
-    late = agent._policy_step(batch, torch.zeros(256), TEMPERATURE / 100, 0.0)
-    assert early == pytest.approx(0.0, abs=1e-6)
-    assert late > 0.01
-
-
 def test_an_anchor_keeps_the_policy_near_its_start() -> None:
     settings = {"divergence": 0.1, "anchor": 10.0}
     _, found = trained(15, learning_rate=0.006, **settings)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from flipperctl.checkpoint.results import ResultFolder, hold, is_held, result_folder
-from flipperctl.errors import RunHeldError, WriteError
+from flipperctl.errors import WriteError
 from flipperctl.text import files
 from flipperctl.views import run as evaluation
 from tests.cli.call import Done, call
@@ -169,16 +169,6 @@ def dies_holding(folder: Path) -> None:
     """Run a process that ends without releasing the lock."""
     command = [sys.executable, "-c", DIES, str(folder)]
     assert subprocess.run(command, check=False, timeout=60).returncode == 9
-
-
-def test_a_second_process_is_refused_and_writes_nothing(tmp_path: Path) -> None:
-    with hold(tmp_path):
-        before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-        with pytest.raises(RunHeldError, match="is being trained by another"), hold(tmp_path):
-            pass
-        assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-    with hold(tmp_path):
-        pass
 
 
 def test_a_run_is_held_while_its_process_lives(tmp_path: Path) -> None:

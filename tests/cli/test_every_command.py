@@ -89,15 +89,6 @@ def test_a_file_of_the_users_is_kept(words: tuple[str, ...], suffix: str, tmp_pa
     assert (tmp_path / f"mine{suffix}").read_text() == "of the user"
 
 
-@pytest.mark.parametrize("name", ["failure_flat_3.json", "table.tex"])
-def test_a_folder_of_results_keeps_files_of_the_users(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_text('{"scenes": "of the user"}')
-    done = call(*EVAL, "--output", ".", cwd=tmp_path)
-    assert done.code == 2
-    assert f"{name} is not of an earlier result" in done.err
-    assert (tmp_path / name).read_text() == '{"scenes": "of the user"}'
-
-
 def test_a_training_keeps_the_results_in_its_folder(tmp_path: Path) -> None:
     (tmp_path / "summary.json").write_text("of an evaluation")
     done = call("train", "terrain=flat", "experiment=quick", "hydra.run.dir=.", cwd=tmp_path)

@@ -3,7 +3,6 @@
 import csv
 import json
 import signal
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -95,38 +94,3 @@ class Patient(Controller):
     def act(self, p: Perception) -> int:
         return 4
 '''
-
-
-SLOW = """
-import time
-from flipperctl.api import Controller, Perception, controller
-
-CALLS = []
-
-@controller("slow")
-class Slow(Controller):
-    \"\"\"Thinks for a minute, but not in the first episodes.\"\"\"
-
-    def act(self, p: Perception) -> int:
-        CALLS.append(1)
-        if len(CALLS) > 60:
-            time.sleep(60)
-        return 4
-"""
-
-
-@pytest.mark.long
-def test_a_second_ctrl_c_kills_what_the_processes_are_at(
-    interrupt: Callable[..., None], tmp_path: Path
-) -> None:
-    (tmp_path / "slow.py").write_text(SLOW)
-    interrupt("flat", 1, signal.SIGINT, signal.SIGINT)
-    begun = time.monotonic()
-    done = call(
-        *("eval", "--controller", "slow", "--plugins", "slow.py", "terrain=flat"),
-        *("--episodes", "40", "--jobs", "2"),
-        cwd=tmp_path,
-    )
-    assert (done.code, done.out) == (130, "")
-    assert done.err.splitlines()[-1] == "error: interrupted"
-    assert time.monotonic() - begun < 50

@@ -1,14 +1,9 @@
 """Sweeps beyond one process: each launcher trains with a plugin file, where the basic one would."""
 
-import csv
 import shutil
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
-import optuna
 import pytest
 from hydra.core.config_store import ConfigStore
 from hydra.core.plugins import Plugins
@@ -110,55 +105,6 @@ def test_a_launcher_that_is_not_installed_names_its_package(
         assert done.code == 2
         assert f"pip install hydra-{package}-launcher" in done.err
         assert len(done.err.splitlines()) == 1
-
-
-@pytest.mark.long
-def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) -> None:
-    command = ["terrain=floor", *SEARCH, RATE, "hydra.sweeper.n_trials=2"]
-    place = "hydra.sweep.dir=runs/multirun/one"
-    given = [*command, place, *QUICK, "--plugins", "floor.py"]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "flipperctl", "train", "-m", *given],
-        cwd=folder,
-        stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-    )
-    while not list(folder.glob("runs/multirun/*/1_*/metrics.csv")):
-        assert process.poll() is None
-        time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait(timeout=60)
-    first, second = study(folder)
-    assert (first.state.name, second.state.name) == ("COMPLETE", "RUNNING")
-
-    done = sweep(folder, *command, place)
-    assert done.code == 0, done.err
-    assert "has 1 finished trials already" in done.err
-    same, killed = study(folder)
-    assert (same.value, same.params) == (first.value, first.params)
-    assert (killed.state.name, killed.params) == ("COMPLETE", second.params)
-    rate = killed.params["agent.learning_rate"]
-    assert (folder / f"runs/multirun/one/1_agent.learning_rate={rate:.5g}").is_dir()
-    (results,) = folder.glob("runs/multirun/*/optimization_results.yaml")
-    assert "best_value" in results.read_text()
-    assert states(results.parent) == ["0 finished", "1 finished"]  # also what was killed after it
-
-    moved = results.parent.rename(folder / "moved")
-    (moved / "sweep.csv").unlink()
-    done = sweep(folder, *command, "hydra.sweep.dir=moved")
-    assert done.code == 0, done.err
-    assert "Evaluate: flipperctl eval moved/" in done.err
-    assert str(moved) in (moved / "optimization_results.yaml").read_text()
-    assert states(moved) == ["0 finished", "1 finished"]
-
-
-def states(folder: Path) -> list[str]:
-    with (folder / "sweep.csv").open(newline="") as file:
-        return [f"{row['job']} {row['state']}" for row in csv.DictReader(file)]
-
-
-def study(folder: Path) -> list[optuna.trial.FrozenTrial]:
-    return optuna.load_study(study_name="search", storage=f"sqlite:///{folder}/search.db").trials
 
 
 @pytest.mark.parametrize(

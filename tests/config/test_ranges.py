@@ -31,17 +31,14 @@ def test_a_range_is_two_numbers_or_one_and_is_written_as_a_list() -> None:
     ("given", "text"),
     [
         ({"height": [0, 0.2]}, "greater than 0"),
-        ({"height": [0.1, 0.9]}, "less than or equal to 0.8"),
         ({"lean": -31}, "greater than or equal to -30"),
         ({"height": [0.3, 0.1]}, "with low ≤ high"),
-        ({"height": "high"}, "with low ≤ high, or one number"),
         ({"height": [0.1, 0.2, 0.3]}, "with low ≤ high, or one number"),
         ({"height": True}, "with low ≤ high, or one number"),
         ({"height": [0.1, True]}, "not true or false"),
         ({"height": float("nan")}, "finite"),
         ({"height": 10**400}, "valid number"),
         ({"count": 2.5}, "valid integer"),
-        ({"count": [0, 2]}, "greater than or equal to 1"),
     ],
 )
 def test_other_values_are_refused(given: dict[str, Any], text: str) -> None:

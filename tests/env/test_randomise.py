@@ -246,9 +246,7 @@ def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
         ({"robot": {"actuator_delay": [0, 0.5]}, "perception": {"delay": [0.1, 0.5]}}, None),
         ({"robot": {"track_speed": [0.001, 0.2]}}, r"^episode\.stuck_progress: .*0\.001 m/s"),
         ({"robot": {"angle_step": 0.2}}, r"^randomise\.robot\.angle_step: policies rely on it"),
-        ({"perception": {"bins": [3, 9]}}, r"^randomise\.perception\.bins: policies rely on it"),
         ({"perception": {"occlusion": [0, 1]}}, r"^randomise\.perception\.occlusion: a prob"),
-        ({"terrain": {"height": [0, 1]}}, r"^randomise\.terrain: there is no such key"),
     ],
 )  # fmt: skip
 def test_a_wrong_range_is_one_clear_error(ranges: dict[str, object], words: str | None) -> None:

@@ -34,15 +34,6 @@ def test_it_rests_and_drives_at_the_speed_of_its_belts() -> None:
     assert found.pitch_variation[0] < 0.01
 
 
-def test_a_flipper_turns_at_its_rate_and_stops_at_its_target() -> None:
-    model = Model(FLAT, ROBOT)
-    state = model.state((0.0, 0.1, 0.0), (0.3, 0.0))
-    later = model.expand(state[None], np.array([[0.6, 0.0]]), 0.4).states[0]
-    assert later[FLIPPERS] == pytest.approx(0.3 + 0.4 * ROBOT.flipper_speed)
-    later = model.expand(state[None], np.array([[0.6, 0.0]]), 2.0).states[0]
-    assert later[FLIPPERS] == pytest.approx(0.6)
-
-
 @pytest.mark.parametrize(
     ("friction", "share", "climbs"),
     [(0.7, None, True), (0.3, None, False), (1.0, 1.2, True), (1.0, 0.8, False)],

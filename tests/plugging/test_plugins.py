@@ -208,30 +208,6 @@ def test_commands_warn_about_a_broken_package_and_show_it(installed: Path) -> No
     assert "ModuleNotFoundError" in named.stderr
 
 
-def test_a_plugin_that_fails_half_way_leaves_nothing_behind(tmp_path: Path) -> None:
-    file = write(tmp_path / "broken.py")
-    file.write_text(file.read_text() + "\n1 / 0\n")
-    with pytest.raises(PluginError):
-        plugins.load([file])
-    assert "ridge" not in registered_names("terrain")
-    assert "stair" in registered_names("terrain")
-    write(file)  # mended, it loads
-    plugins.load([file])
-    assert "ridge" in registered_names("terrain")
-
-
-def test_a_name_taken_twice_names_both(tmp_path: Path) -> None:
-    one, two = write(tmp_path / "one.py"), write(tmp_path / "two.py")
-    plugins.load([one])
-    with pytest.raises(PluginError) as error:
-        plugins.load([two])
-    text = str(error.value)
-    assert "two terrain plugins are called 'ridge'" in text
-    assert re.search(r"flipperctl_user_\w+\.one\.", text)
-    assert re.search(r"flipperctl_user_\w+\.two\.", text)
-    assert f"{two}:3: " in text
-
-
 @pytest.mark.parametrize("kind", ["terrain", "sensor", "command"])
 def test_a_decorator_without_its_name_says_what_to_write(tmp_path: Path, kind: str) -> None:
     file = tmp_path / "bare.py"

@@ -35,12 +35,6 @@ def defaults() -> None:
     compose.register_defaults()
 
 
-@pytest.mark.parametrize("word", ["sim.friction=1,0.5,1.0", "terrain='a','a'"])
-def test_a_list_with_a_value_twice_is_refused(word: str) -> None:
-    with pytest.raises(ConfigError, match="is given twice; once is allowed"):
-        list(from_words([word]).combinations())
-
-
 def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() -> None:
     base = TrainConfig(terrain="stair", network="at_d3qn")
     changes = {

@@ -199,7 +199,6 @@ def test_points_of_the_chassis_frame_are_levelled(policy: OnnxPolicy) -> None:
     [
         ([[0.0, 0.0, 0.0]], "L", PolicyError, r"shape \(1, 3\); \(P, 2\) is allowed"),
         (np.empty((0, 2)), "L", PolicyError, r"none of the 0 points lies within ±1\.125 m"),
-        ([[500.0, -10.0]], "L", PolicyError, "none of the 1 points lies within"),
         ([[0.0, -0.1], [0.1, math.nan]], "L", NonFiniteError, r"point 1 is \(0\.1, nan\)"),
         (["far"], "L", PolicyError, "the points are not numbers"),
         ([[0, "1"]], "L", PolicyError, "the points are not numbers"),
@@ -258,9 +257,7 @@ def test_the_robot_turns_its_flippers_by_the_rule_of_its_policy(tmp_path: Path) 
         ([0.0, 0.0], [math.nan, 0.0], 4, NonFiniteError, "angles are .*nan"),
         ([0.0, 0.0], [45.0, 0.0], 4, PolicyError, r"angles are \[45\.  0\.\] rad; ±π is allowed"),
         ([0.0, 0.0], [0.0, 0.0], 9, PolicyError, "no action 9; a whole number from 0 to 8 is"),
-        ([0.0, 0.0], [0.0, 0.0], -1, PolicyError, "no action -1"),
         ([0.0, 0.0], [0.0, 0.0], 1.5, PolicyError, "no action 1.5; a whole number"),
-        ([0.0, 0.0], [0.0, 0.0], "4", PolicyError, "no action 4; a whole number"),
     ],
 )
 def test_wrong_arguments_are_refused(

@@ -381,14 +381,6 @@ def troubled(registry: dict) -> None:
             return 4
 
 
-def test_a_suite_is_played_as_by_the_command(tmp_path: Path) -> None:
-    suite = tmp_path / "mine.yaml"
-    suite.write_text("scenes:\n  dry: terrain=flat\n  wet: terrain=flat sim.friction=0.5\n")
-    found = flipperctl.evaluate("okada", suite=suite, episodes=1, progress=False)
-    rows = [(scene["suite_scene"], scene["controller"]) for scene in found.scenes]
-    assert rows == [(name, who) for name in ("dry", "wet") for who in ("okada", "level")]
-
-
 @pytest.mark.usefixtures("troubled")
 def test_what_was_played_beside_a_failing_baseline_is_in_the_error() -> None:
     with pytest.raises(FlipperctlError, match="worn out") as raised:

@@ -119,16 +119,6 @@ def test_all_listeners_are_closed_though_one_fails(method: str, flat: Trainer) -
     assert [listener.closed for listener in listeners] == [1, 1, 1]
 
 
-def test_listeners_are_closed_when_a_run_does_not_start(
-    flat: Trainer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    flat.listeners.append(listener := Notes("close"))
-    monkeypatch.setattr(Trainer, "save", no_space)
-    with pytest.raises(WriteError, match="no space"):  # not that of the closing
-        flat.run()
-    assert listener.closed == 1
-
-
 def no_space(*given: object) -> None:
     raise WriteError("no space")
 

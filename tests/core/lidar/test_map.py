@@ -8,8 +8,6 @@ import pytest
 from flipperctl.core.lidar.cells import Cells
 from flipperctl.core.lidar.ground import (
     FreeSpace,
-    GroundSeen,
-    MapSettings,
     clearances,
     lateral_slope,
     straightened,
@@ -49,14 +47,6 @@ def test_the_window_moves_with_the_robot() -> None:
     assert heights(of, 0.0) == []
     of.add(point(9.0, 3.0), 4.0, 0.0)  # beyond the window
     assert heights(of, 9.0) == []
-
-
-def test_points_are_returned_along_the_heading() -> None:
-    of = cells()
-    of.add(point(0.5, 1.0, y=0.5), 0.0, 0.0)
-    found = of.around(0.0, 0.0, np.pi / 4, (-1.0, 1.0), 0.1)
-    assert found == pytest.approx(np.array([[0.5**0.5, 0.0, 1.0]]), abs=1e-6)
-    assert not len(of.around(0.0, 0.0, 0.0, (-1.0, 1.0), 0.1))  # beside the strip
 
 
 def test_cells_with_few_points_beside_full_ones_are_left_out_on_request() -> None:
@@ -120,24 +110,6 @@ def test_a_ceiling_is_the_height_of_the_lowest_ray_over_the_place(turn: float) -
     beside = np.array([[0.5, 2.0, 0.0], [1.96, 2.0, 0.0], [2.5, 2.0, 0.0]])
     # beside the ray, just before its return, behind it
     assert np.isinf(space([2.0, 2.0, 0.0]).ceilings(beside)).all()
-
-
-def test_points_of_the_map_above_a_ray_are_forgotten() -> None:
-    of = Cells(0.1, 0.1, 2, ahead=3.0, beside=1.0)
-    points = np.array([[1.55, 2.05, 0.2], [1.55, 2.05, 0.0], [2.55, 2.05, 0.2]])
-    of.add(points, 1.0, 2.0)
-    of.clear_above(space([2.1, 2.1, -0.5]).ceilings, 1.0, 2.0, 0.03)
-    left = of.around(1.0, 2.0, 0.0, (-2.0, 2.0), 0.5)
-    assert left[:, 0] == pytest.approx([0.55, 1.55])
-    of.add(points[:1], 1.0, 2.0)  # the place can be seen again
-    assert len(of.around(1.0, 2.0, 0.0, (-2.0, 2.0), 0.5)) == 3
-
-
-def test_the_way_counts_in_every_direction() -> None:
-    seen = GroundSeen(MapSettings(bins=3, bin_width=0.15))
-    for x, y in ((0.0, 0.0), (0.3, 0.4), (0.3, 0.1)):
-        seen.add(np.zeros((0, 3)), x, y, 0.0)
-    assert seen.save()[-1] == pytest.approx(0.5 + 0.3)
 
 
 # Sideways slopes and clearances

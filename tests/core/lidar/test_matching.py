@@ -67,12 +67,6 @@ def test_level_ground_alone_leaves_the_guess_along_it(matcher: ScanMatcher) -> N
     assert found == pytest.approx([0.05, 0.0, 0.0], abs=0.003)
 
 
-def test_few_points_are_not_matched(matcher: ScanMatcher) -> None:
-    guess = np.ones(3)
-    for _ in range(2):
-        assert matcher.corrected(np.zeros((5, 3)), guess, AHEAD) == (guess, 0.0)
-
-
 def test_keyframes_are_added_after_some_motion_and_the_oldest_are_forgotten(
     matcher: ScanMatcher,
 ) -> None:

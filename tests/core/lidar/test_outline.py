@@ -8,7 +8,6 @@ from flipperctl.core.lidar.outline import (
     columns,
     points_along,
     polyline,
-    sorted_points,
     with_assumed,
     with_drops,
 )
@@ -49,14 +48,6 @@ def test_a_ramp_stays_a_ramp() -> None:
     assert line[:, 1] == pytest.approx(0.8 * line[:, 0], abs=0.002)
 
 
-def test_columns_of_few_points_are_unseen() -> None:
-    points = np.array([[0.01, 0.0, 0.1]] * 3 + [[0.03, 0.0, 0.2]] * 4)
-    found = sorted_columns(points)
-    assert found.x == pytest.approx([0.0375])
-    assert found.median == pytest.approx([0.2])
-    assert not len(sorted_columns(np.zeros((0, 3))).x)
-
-
 def test_gaps_and_ends_are_filled_and_marked() -> None:
     line = np.array([[0.0, 0.0], [0.05, 0.0], [0.25, 0.2], [0.25, 0.4], [0.3, 0.4]])
     points, filled = points_along(line, np.zeros(5, np.bool_), 0.02, 0.06, (-0.1, 0.4))
@@ -86,15 +77,6 @@ def test_assumed_ground_stands_only_where_nothing_was_seen() -> None:
     assert unseen.tolist() == [True, False, True, False]
     alone, _ = with_assumed(np.zeros((0, 2)), assumed, 0.03)
     assert alone.tolist() == assumed.tolist()
-
-
-def test_points_are_sorted_by_column_and_height() -> None:
-    rng = np.random.default_rng(1)
-    points = rng.uniform(-1.0, 1.0, (500, 3))
-    number, ordered = sorted_points(points, 0.1)
-    expected = points[np.lexsort((points[:, 2], np.floor(points[:, 0] / 0.1)))]
-    assert np.array_equal(ordered, expected)
-    assert np.array_equal(number, np.floor(expected[:, 0] / 0.1))
 
 
 def shadowed(edge: float, seen_from: float, depth: float) -> np.ndarray:

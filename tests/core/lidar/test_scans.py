@@ -32,15 +32,6 @@ def test_headings_are_interpolated_over_their_jump_at_pi() -> None:
     assert found == pytest.approx(np.array([[-1.0, 0.0, 0.0]]))
 
 
-def test_a_corrected_pose_replaces_the_earlier_ones() -> None:
-    trail = Trail(START)
-    trail.record(1.0, START)
-    end = Pose(0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
-    assert trail.correct(1.1, START, end) == end
-    found = trail.levelled(np.zeros((1, 3)), np.array([0.1]), 1.1, end)
-    assert found == pytest.approx(np.zeros((1, 3)))
-
-
 def test_a_clock_that_jumps_back_and_absurd_ages_give_finite_points() -> None:
     trail = Trail(START)
     for time in (1e9, 1e9 + 0.01, 3.0):
@@ -136,8 +127,3 @@ def test_across_the_rings_as_well() -> None:
         [np.cos(elevations), np.zeros(len(elevations)), np.sin(elevations)]
     )
     assert len(without_mixed(Scan(points)).points) == len(points) - 1
-
-
-def test_few_points_are_kept() -> None:
-    scan = Scan(np.zeros((3, 3)))
-    assert without_mixed(scan) is scan
