@@ -51,6 +51,7 @@ WORKERS = 0.2
 MODES = {mode: ["train", *QUICK, f"train.mode={mode}", "hydra.run.dir=run"]
          for mode in ("exact", "fast")}  # fmt: skip
 _SHORT = ["train.decisions=150", "train.validate_every=75", "train.checkpoint_every=40"]
+_SHORT += ["train.regret_episodes=0"]  # a signal leaves out the comparison at a run's end
 SWEEP = ["train", "-m", *{o.partition("=")[0]: o for o in [*QUICK, *_SHORT]}.values()]
 SWEEP += ["train.mode=exact", "seed=1,2,3", "hydra.sweep.dir=run"]
 LAUNCHERS = {"basic": SWEEP}
