@@ -44,7 +44,8 @@ from flipperctl.core.risk import (
 )
 from flipperctl.evaluation.statistics import proportion
 from flipperctl.plugging import plugins
-from flipperctl.policies.trained import TrainedPolicy, policy_module
+from flipperctl.policies.acting import TrainedPolicy
+from flipperctl.policies.trained import policy_module
 from flipperctl.process import entry
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.risks import EpisodeRisks

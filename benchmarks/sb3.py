@@ -24,7 +24,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.rows import reached
 from flipperctl.learners.sb3_run import Scaled
-from flipperctl.policies.trained import TrainedPolicy
+from flipperctl.policies.acting import TrainedPolicy
 from flipperctl.rollout.episode import play, validation_seed
 
 SETTINGS: Mapping[str, Any] = {

@@ -21,7 +21,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.learners import D3qn
 from flipperctl.learners.double_q import DoubleQ
-from flipperctl.policies.trained import ExploringPolicy
+from flipperctl.policies.acting import ExploringPolicy
 from flipperctl.rollout.cluster import LOCAL, QUIET, is_connected, join
 from flipperctl.rollout.collect import RayWorkers, RolloutWorkers
 from flipperctl.rollout.episode import RolloutRequest, steps, training_seed

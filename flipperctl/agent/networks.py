@@ -7,7 +7,7 @@ on one observation, in ``train()`` and in ``eval()`` mode, and the actions that 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import double_q_target, double_quantile_target, huber, quantile_huber
+from flipperctl.agent.plain import Weights, best
 from flipperctl.agent.replay import Batch
 from flipperctl.api import ACTIONS, MAX_HISTORY, Network, ObservationLayout
 from flipperctl.core.targets import JOINTS, ActionKind
@@ -248,9 +249,7 @@ def greedy(
     return best(q_values(module, observation, device))
 
 
-def best(values: Sequence[float]) -> int:
-    """Return the action with the largest Q-value, the first one of equals."""
-    return values.index(max(values))
+NOT_FINITE = "returned Q-values that are not finite"
 
 
 def q_values(
@@ -272,11 +271,8 @@ def q_values(
         text = f"returned {len(values)} numbers for an observation; {needed} are needed"
         raise PluginFailedError(describe_fault(module, "forward", text))
     if not math.isfinite(total):
-        raise NonFiniteError(
-            describe_fault(
-                module, "forward", f"returned Q-values that are not finite: their sum is {total}"
-            )
-        )
+        text = f"{NOT_FINITE}: their sum is {total}"
+        raise NonFiniteError(describe_fault(module, "forward", text))
     result: list[float] = values
     return result
 
@@ -309,6 +305,32 @@ class Noise:
         self._module.eval()
         for part in self.parts:
             part.train()
+
+
+def load_arrays(module: torch.nn.Module, weights: Weights) -> None:
+    """Give a network the weights of another process."""
+    module.load_state_dict({name: torch.from_numpy(array) for name, array in weights.items()})
+
+
+class TorchNetwork:
+    """The outputs of a torch module, see ``agent.plain.Outputs``."""
+
+    def __init__(self, module: torch.nn.Module, kind: ActionKind = "turns") -> None:
+        self._module, self._kind, self._noise = module, kind, Noise(module)
+        self._device = next(module.parameters(), torch.empty(0)).device
+        self.draw_noise = self._noise.draw
+
+    def load(self, weights: Weights) -> None:
+        """Take the weights of another process."""
+        load_arrays(self._module, weights)
+
+    def begin(self, noise: bool) -> None:
+        """Enter ``eval()`` mode, with the network's noise if it may."""
+        (self._noise.acts if noise else self._module.eval)()
+
+    def outputs(self, row: NDArray[np.float32]) -> list[float]:
+        """Return the outputs (A,) of an input row, (frames · n,)."""
+        return q_values(self._module, row, self._device, self._kind)
 
 
 @contextmanager

@@ -15,7 +15,6 @@ numbers: the policy learns bit for bit the same with and without it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -23,7 +22,8 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.losses import Adam, flatten_parameters
-from flipperctl.agent.networks import one_thread
+from flipperctl.agent.networks import load_arrays, one_thread
+from flipperctl.agent.plain import RISK, Weights
 from flipperctl.agent.replay import UNKNOWN, Batch
 from flipperctl.core.risk import LAGS, EpisodeRisk, Place, RiskCalibration, RiskSign
 from flipperctl.errors import NonFiniteError
@@ -31,9 +31,6 @@ from flipperctl.errors import NonFiniteError
 POSITIVES: Final = 5.0
 """Weight in the loss of a transition shortly before a failure [-], which is rare once the policy is
 good. It multiplies the odds that the network learns, which the calibration's shift takes back."""
-WEIGHTS: Final = ".risk."
-"""Prefix of the risk network's weights beside the policy's. No weight of a policy begins with it,
-since the name of a submodule is never empty."""
 _WIDTH: Final = 64
 
 
@@ -84,6 +81,10 @@ class Risk(torch.nn.Module):
         alone, coefficients = self.network(observation)
         return torch.sigmoid(self.slope * alone + self.shift), self.slope * coefficients
 
+    def load(self, weights: Weights) -> None:
+        """Give the network the weights of another process."""
+        load_arrays(self.network, weights)
+
     def begin(self, size: int) -> EpisodeRisk:
         """Return what remembers a new episode; ``size``: length n of an observation."""
         return EpisodeRisk(size, self.sign, self.stride)
@@ -114,19 +115,6 @@ def uncalibrated(horizon: int) -> RiskCalibration:
 def plain_risk(network: RiskNetwork, horizon: int) -> Risk:
     """Return the network's output as probabilities that no calibration has changed."""
     return Risk(network, RiskCalibration(RiskSign(horizon, 0.5), 1.0, 0.0))
-
-
-def split_weights(
-    weights: Mapping[str, NDArray[np.generic]],
-) -> tuple[dict[str, torch.Tensor], dict[str, NDArray[np.generic]]]:
-    """Return the weights of the risk network, if there are any, and the policy's weights."""
-    risk, policy = dict[str, torch.Tensor](), dict[str, NDArray[np.generic]]()
-    for name, array in weights.items():
-        if name.startswith(WEIGHTS):
-            risk[name.removeprefix(WEIGHTS)] = torch.from_numpy(array)
-        else:
-            policy[name] = array
-    return risk, policy
 
 
 def risk_loss(output: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
@@ -174,7 +162,7 @@ def policy_arrays(
     """Return a copy of the weights of a policy and of its risk, named for other processes."""
     weights = weights_of(policy)
     if risk is not None:
-        weights |= {f"{WEIGHTS}{name}": array for name, array in weights_of(risk).items()}
+        weights |= {f"{RISK}{name}": array for name, array in weights_of(risk).items()}
     return weights
 
 

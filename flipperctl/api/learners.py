@@ -203,6 +203,10 @@ class Learner(Plugin, ABC):
     # What commands and checkpoints need to know of it.
     default_network: ClassVar[str] = ""
     """Name of the network that ``agent=NAME`` chooses with it; empty: none."""
+    drives_by_outputs: ClassVar[bool] = False
+    """Whether ``Learning.driving`` is a network as the policy's, of which ``drive`` needs the
+    outputs alone, as the policies of ``flipperctl.policies.acting`` do. Workers without torch then
+    call it with an ``agent.plain.PlainNetwork``."""
     resumes_exactly: ClassVar[bool] = True
     """Whether a stopped training goes on bit for bit."""
     short: ClassVar[Mapping[str, Any]] = {}

@@ -421,7 +421,7 @@ def _result(pool: WorkerPool, task: Task, index: int, job: Future[Row]) -> Row:
 
 def worker_pool(count: int, start: Callable[[], Host] | None = None) -> WorkerPool:
     """Return a pool whose workers play episodes of tasks; ``start`` starts one elsewhere."""
-    return WorkerPool(count, _start_worker, (Statement.of_code(),), start)
+    return WorkerPool(count, _start_worker, (Statement.of_code(),), start, ["torch"])
 
 
 _runner: tuple[int, EpisodeRunner] | None = None  # the newest task's, one per worker process

@@ -43,7 +43,8 @@ from flipperctl.errors import (
 )
 from flipperctl.export.metadata import policy_metadata
 from flipperctl.plugging.guard import naming
-from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
+from flipperctl.policies.acting import TrainedPolicy
+from flipperctl.policies.trained import policy_module, policy_risk
 from flipperctl.rollout.episode import EvaluationSeeds, play
 from flipperctl.runtime.devices import SECTION, Devices
 from flipperctl.runtime.interface import (

@@ -88,9 +88,9 @@ class D3qn(D3qnSettings):
         rng: np.random.Generator,
     ) -> Policy:
         """Return the ε-greedy policy, mixed with the teacher if one acts."""
+        from flipperctl.policies.acting import ExploringPolicy
         from flipperctl.policies.controllers import DaggerPolicy
         from flipperctl.policies.source import controller_policy
-        from flipperctl.policies.trained import ExploringPolicy
 
         # ε follows the decisions of the whole run; in a worker one generator draws ε and noise.
         student = ExploringPolicy(

@@ -53,7 +53,7 @@ class PolicyGradient(GradientSettings):
         rng: np.random.Generator,
     ) -> Policy:
         """Return the policy that draws its actions by the Q-values."""
-        from flipperctl.policies.trained import SamplingPolicy
+        from flipperctl.policies.acting import SamplingPolicy
 
         def temperature() -> float:
             return self.temperature_at(decision() / training.decisions)

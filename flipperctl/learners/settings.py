@@ -21,6 +21,8 @@ def linear(start: float, end: float, fraction: float) -> float:
 class PairSettings(Learner):
     """Settings of a learner with an online and a target network, a replay and perhaps a risk."""
 
+    drives_by_outputs: ClassVar[bool] = True
+
     start_from: str | None = Field(
         None,
         description="a run, a checkpoint or a shipped policy whose weights the networks start "

@@ -43,7 +43,7 @@ from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
 
 if TYPE_CHECKING:
-    from flipperctl.policies.trained import TrainedPolicy
+    from flipperctl.policies.acting import TrainedPolicy
 
 _CLOSE = 1e-6
 """Largest difference of angles, speeds and periods that counts as rounding [SI units]."""
@@ -194,7 +194,8 @@ class PolicySource:
             return exported
 
         # A checkpoint has the whole configuration of its training.
-        from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
+        from flipperctl.policies.acting import TrainedPolicy
+        from flipperctl.policies.trained import policy_module, policy_risk
 
         checkpoint = read_policy(self.file)
         trained = checkpoint.policy_config()

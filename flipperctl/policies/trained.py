@@ -1,13 +1,12 @@
-"""Trained networks as policies, also in training episodes, and values for searches.
+"""Trained networks of checkpoints, and values for searches.
 
-In: a checkpoint. Out: its network with the trained weights, the policy that acts by it, and the
-value of observations with the rewards and the discount of the training. Policies of training
-episodes are ε-greedy, or draw their actions by the Q-values, as the policy gradient does.
+In: a checkpoint. Out: its network with the trained weights and its risk, and the value of
+observations with the rewards and the discount of the training.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -16,175 +15,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.frames import input_size, stacked
-from flipperctl.agent.networks import Noise, best, build_policy, one_thread, q_values
+from flipperctl.agent.frames import input_size
+from flipperctl.agent.networks import build_policy, one_thread
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
-from flipperctl.api import (
-    ACTIONS,
-    FloatArray,
-    LearnedValue,
-    Perception,
-    RobotGeometry,
-    Simulator,
-    StateGroups,
-)
+from flipperctl.api import FloatArray, LearnedValue, RobotGeometry
 from flipperctl.api.controllers import TOLERANCE
 from flipperctl.checkpoint import Checkpoint, read_policy
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
-from flipperctl.core.risk import EpisodeRisk, Escape, EscapeRule, RiskCalibration, drawn
-from flipperctl.core.targets import Action, ActionKind, rates_of
+from flipperctl.core.risk import RiskCalibration
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.policies.controllers import from_costs, no_label
-
-
-class _NetworkPolicy:
-    """A policy that acts on the outputs of a network, which takes ``frames`` observations."""
-
-    def __init__(self, module: torch.nn.Module, frames: int, kind: ActionKind = "turns") -> None:
-        self.module, self.frames, self.kind = module, frames, kind
-        self._device = next(module.parameters(), torch.empty(0)).device
-
-    def q_values(self, p: Perception) -> list[float]:
-        """Return the Q-values, (9,)."""
-        return q_values(self.module, stacked(p.recent, self.frames), self._device)
-
-
-class TrainedPolicy(_NetworkPolicy):
-    """Acts on the outputs of a network in ``eval()`` mode: its rates, or the best Q-value.
-
-    While it escapes, it draws its actions by the Q-values.
-    """
-
-    def __init__(
-        self,
-        module: torch.nn.Module,
-        frames: int = 1,
-        risk: Risk | None = None,
-        escape: EscapeRule | None = None,
-        kind: ActionKind = "turns",
-    ) -> None:
-        """``risk``: the network of its risk on the CPU, if there is one.
-
-        ``escape``: how it draws its actions while that warns; None: it never does.
-        """
-        super().__init__(module, frames, kind)
-        self._risk = risk
-        self.risk_sign = None if risk is None else risk.sign
-        """When its risk is a warning; None without a risk."""
-        self.risk: float | None = None
-        """Risk at the last decision; None without one."""
-        self._episode: EpisodeRisk | None = None
-        self._escape = None if escape is None else Escape(escape)
-
-    def reset(self, simulator: Simulator | None = None) -> None:
-        """Begin an episode; only the risk and the escape have a memory."""
-        self.risk = self._episode = None
-        if self._escape is not None:
-            self._escape.reset()
-
-    def act(self, p: Perception) -> Action:
-        """Return the index of an action, 0 to 8, or rates."""
-        return self.act_on(p.recent, p.position)
-
-    def act_on(
-        self, recent: Sequence[NDArray[np.float32]], position: FloatArray | None = None
-    ) -> Action:
-        """Return the action for the newest observations, each (n,) in SI units.
-
-        ``position``: see ``Perception``.
-        """
-        observation = stacked(recent, self.frames)
-        # The risk comes first, since a warning changes how the action is chosen.
-        if self._risk is not None:
-            if self._episode is None:
-                self._episode = self._risk.begin(len(recent[-1]))
-            place = None if position is None else position.tolist()
-            self.risk = self._risk.of_one(observation, self._episode, place)
-        values = q_values(self.module, observation, self._device, self.kind)
-        if self.kind == "rates":
-            return rates_of(values)
-        # While it escapes, the policy draws by its Q-values.
-        escape, sign = self._escape, self.risk_sign
-        if escape is not None and sign is not None and escape.due(warns=sign.warns(self.risk)):
-            return escape.draw(values)
-        return best(values)
-
-
-class ExploringPolicy(_NetworkPolicy):
-    """Takes a random action with probability ε, otherwise the greedy action under new noise.
-
-    A network's own noise, if it has any, replaces ε.
-    """
-
-    label = None
-    groups = None
-
-    def __init__(
-        self,
-        module: torch.nn.Module,
-        frames: int,
-        epsilon: Callable[[], float],
-        rng: np.random.Generator,
-        noise_rng: np.random.Generator,
-        share: float = 1.0,
-    ) -> None:
-        """``module`` is put into the mode of decisions at the start of each episode.
-
-        ``epsilon`` is called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
-        ``share``: share of the episodes that have random actions [-].
-        """
-        super().__init__(module, frames)
-        self._epsilon, self._rng, self._noise_rng = epsilon, rng, noise_rng
-        self._noise = Noise(module)
-        self._share, self._greedy = share, False
-        self.explored = False
-        """Whether the last action was random."""
-
-    def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; decide whether it has random actions."""
-        self._noise.acts()
-        self._greedy = self._share < 1 and self._rng.random() >= self._share
-
-    def act(self, p: Perception) -> int:
-        """Return the index of a random or greedy action."""
-        self.explored = not self._greedy and self._rng.random() < self._epsilon()
-        if self.explored:
-            return int(self._rng.integers(len(ACTIONS)))
-        self._noise.draw(self._noise_rng)
-        return best(self.q_values(p))
-
-
-class SamplingPolicy(_NetworkPolicy):
-    """Draws each action with the probabilities softmax(Q / temperature), which are its label."""
-
-    groups: StateGroups | None = None
-    explored = False
-
-    def __init__(
-        self,
-        module: torch.nn.Module,
-        frames: int,
-        temperature: Callable[[], float],
-        rng: np.random.Generator,
-    ) -> None:
-        """``module`` is put into ``eval()`` mode at the start of each episode.
-
-        ``temperature`` is called at each decision [-]. ``rng`` draws.
-        """
-        super().__init__(module, frames)
-        self._temperature, self._rng = temperature, rng
-        self.label = no_label()
-        """Probabilities of the actions at the last decision, (9,)."""
-
-    def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; nothing is remembered."""
-        self.module.eval()  # at each decision it took a tenth of the time
-
-    def act(self, p: Perception) -> int:
-        """Return the index of the drawn action."""
-        self.label = from_costs(-np.array(self.q_values(p)), self._temperature())
-        return drawn(self.label.tolist(), self._rng.random())
 
 
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:

@@ -21,30 +21,30 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from safetensors.numpy import load_file, save_file
 
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.networks import build_policy
-from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
+from flipperctl.agent.plain import PlainNetworks, Weights, split_weights
 from flipperctl.api import Step
 from flipperctl.config import RayCollector, TrainConfig, parse, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.trained import TrainedPolicy
+from flipperctl.policies.acting import Driving, TrainedPolicy, outputs_of
 from flipperctl.rollout import cluster
 from flipperctl.rollout.episode import (
     RolloutRequest,
     Row,
-    Weights,
     exploration_rng,
     play,
 )
 from flipperctl.rollout.pool import POLL, Stop, WorkerDiedError, WorkerPool
 from flipperctl.rollout.statement import Statement
 from flipperctl.rollout.training import ConfiguredTraining
+
+if TYPE_CHECKING:
+    from flipperctl.agent.risk import Risk
 
 
 @dataclass(frozen=True)
@@ -117,23 +117,35 @@ class Stopwatch:
 class Actor:
     """Plays training episodes with the weights that come with each request."""
 
-    def __init__(self, config: dict[str, Any], shared: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self,
+        config: dict[str, Any],
+        shared: Mapping[str, Any] | None = None,
+        plain: PlainNetworks | None = None,
+    ) -> None:
         """Build the environment and the networks of ``config``, a ``TrainConfig`` as plain data.
 
-        ``shared``: what the learner's process shares, see ``flipperctl.api.Training``.
+        ``shared``: what the learner's process shares, see ``flipperctl.api.Training``. ``plain``:
+        what it drives with; None: the networks of torch.
         """
-        # Workers fill the cores by their number; more threads each would only compete.
-        torch.set_num_threads(1)
         parsed = parse(TrainConfig, config)
         self._training, self._seed = ConfiguredTraining(parsed, shared or {}), parsed.seed
         self._env = self._training.environment()
-        self._greedy = GreedyPlayer(parsed, self._env)
+        self._greedy = GreedyPlayer(parsed, self._env, plain)
         # Weights, generator and decision come with each request, and are set in place.
-        self._module = parsed.agent.driving_network(self._training).requires_grad_(False)
+        network: Any = plain.policy if plain else self._torch_network(parsed)
+        self._network = outputs_of(network)
         self._rng, self._decision = np.random.default_rng(), 0
         self._policy = parsed.agent.drive(
-            self._training, self._module, lambda: self._decision, self._rng
+            self._training, network, lambda: self._decision, self._rng
         )
+
+    def _torch_network(self, config: TrainConfig) -> Any:
+        import torch
+
+        # Workers fill the cores by their number; more threads each would only compete.
+        torch.set_num_threads(1)
+        return config.agent.driving_network(self._training).requires_grad_(False)
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
@@ -142,7 +154,7 @@ class Actor:
 
     def play(self, request: RolloutRequest, weights: Weights) -> list[Step]:
         """Play one episode to its end; equal requests with equal weights give equal episodes."""
-        load_weights(self._module, weights)
+        self._network.load(weights)
         # Exploration follows from the episode's number, whichever worker plays it.
         rng = exploration_rng(self._seed, request.episode)
         self._rng.bit_generator.state = rng.bit_generator.state
@@ -151,36 +163,42 @@ class Actor:
         return list(played)
 
 
-def load_weights(module: torch.nn.Module, weights: Weights) -> None:
-    """Give a network the weights of another process."""
-    module.load_state_dict({name: torch.from_numpy(array) for name, array in weights.items()})
-
-
 class GreedyPlayer:
     """A policy network, and that of its risk, whose weights come with each request."""
 
-    def __init__(self, config: TrainConfig, env: FlipperEnv) -> None:
-        """``env`` plays the episodes."""
-        self._env, self._frames, self._kind = env, config.network.frames, config.actions
-        self._risk = None
-        with torch.random.fork_rng(devices=[]):  # the weights will come
-            self.module = build_policy(config.network, env.layout, config.actions)
-            if (risk := config.agent.failure_risk) is not None:
-                network = RiskNetwork(input_size(config.network, env.layout))
-                self._risk = plain_risk(network, risk.horizon)
-        self.module.requires_grad_(False)
+    def __init__(
+        self, config: TrainConfig, env: FlipperEnv, plain: PlainNetworks | None = None
+    ) -> None:
+        """``env`` plays the episodes; ``plain``: see ``Actor``."""
+        network, risk = (plain.policy, plain.risk) if plain else _torch_networks(config)
+        self._env, self._risk = env, risk
+        self._policy = TrainedPolicy(network, config.network.frames, risk, kind=config.actions)
+        self.network = self._policy.network
 
     def load(self, weights: Weights) -> None:
         """Take the weights of a policy and of its risk."""
-        risk, state = split_weights(weights)
+        policy, risk = split_weights(weights)
+        self.network.load(policy)
         if risk and self._risk is not None:
-            self._risk.network.load_state_dict(risk)
-        load_weights(self.module, state)
+            self._risk.load(risk)
 
     def play(self, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
-        policy = TrainedPolicy(self.module.eval(), self._frames, self._risk, kind=self._kind)
-        return play(self._env, policy, seed)
+        self.network.begin(noise=False)
+        return play(self._env, self._policy, seed)
+
+
+def _torch_networks(config: TrainConfig) -> tuple[Driving, Risk | None]:
+    import torch
+
+    from flipperctl.agent.networks import build_policy
+    from flipperctl.agent.risk import RiskNetwork, plain_risk
+
+    layout, risk = config.perception.layout, config.agent.failure_risk
+    with torch.random.fork_rng(devices=[]):  # the weights will come
+        module = build_policy(config.network, layout, config.actions).requires_grad_(False)
+        size = input_size(config.network, layout)
+        return module, plain_risk(RiskNetwork(size), risk.horizon) if risk else None
 
 
 _actor: Actor
@@ -188,12 +206,17 @@ _stopwatch: Stopwatch
 """The actor of this worker process, and what measures its waits."""
 
 
-def create_actor(config: dict[str, Any], shared: Mapping[str, Any], *statements: Statement) -> None:
+def create_actor(
+    config: dict[str, Any],
+    shared: Mapping[str, Any],
+    plain: PlainNetworks | None,
+    *statements: Statement,
+) -> None:
     """Create the actor of this worker process, which agrees with the learner's ``statements``."""
     global _actor, _stopwatch
     for statement in statements:
         statement.enter()
-    _actor, _stopwatch = Actor(config, shared), Stopwatch()
+    _actor, _stopwatch = Actor(config, shared, plain), Stopwatch()
 
 
 def play_request(request: RolloutRequest, weights: Weights | Path) -> Rollout:
@@ -254,9 +277,13 @@ class RolloutWorkers:
     """Actors in processes of this machine; rollouts come in the order of the requests."""
 
     def __init__(
-        self, count: int, config: TrainConfig, shared: Mapping[str, Any] | None = None
+        self,
+        count: int,
+        config: TrainConfig,
+        shared: Mapping[str, Any] | None = None,
+        plain: PlainNetworks | None = None,
     ) -> None:
-        """Create the actors, without waiting for them; ``shared``: see ``Actor``."""
+        """Create the actors, without waiting for them; ``shared``, ``plain``: see ``Actor``."""
         self._opened = ExitStack()
         self._sent: dict[Future[Rollout], RolloutRequest] = {}
         self._newest: dict[str, Rollout] = {}
@@ -266,14 +293,15 @@ class RolloutWorkers:
         # A worker with other code or files would play other episodes: each compares this first.
         inputs = Statement.of_inputs(config, config.network, config.teacher.controller)
         statements = Statement.of_code(), inputs
-        self._pool = self._open(count, (to_dict(config), dict(shared or {}), *statements))
+        self._torch = [] if plain else ["torch"]
+        self._pool = self._open(count, (to_dict(config), dict(shared or {}), plain, *statements))
 
     def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
         # Weights go through files: a process that dies while it receives a long message would block
         # the interpreter's exit (CPython issue 94777, before Python 3.12).
         temporary = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
         self._folder = Path(self._opened.enter_context(temporary))
-        return WorkerPool(count, create_actor, arguments)
+        return WorkerPool(count, create_actor, arguments, modules=self._torch)
 
     @property
     def capacity(self) -> int:
@@ -364,10 +392,11 @@ class RayWorkers(RolloutWorkers):
         config: TrainConfig,
         shared: Mapping[str, Any] | None = None,
         report: Callable[[str], None] = lambda text: None,
+        plain: PlainNetworks | None = None,
     ) -> None:
         """Create the actors, without waiting; ``report`` gets sentences about them."""
         self._settings, self._report = settings, report
-        super().__init__(settings.workers, config, shared)
+        super().__init__(settings.workers, config, shared, plain)
 
     def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
         address = self._settings.address or cluster.LOCAL

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import stacked
+from flipperctl.agent.plain import Weights
 from flipperctl.api import (
     ACTIONS,
     FloatArray,
@@ -204,10 +205,6 @@ def play(
         ending = decision.ending
     assert ending is not None  # decisions() yields until there is one
     return ending
-
-
-Weights = Mapping[str, NDArray[Any]]
-"""A network's ``state_dict`` as arrays."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import ProcessPoolExecutor
 from multiprocessing import connection, process, resource_tracker
@@ -36,7 +36,7 @@ POLL = 0.1
 """Longest time between two calls of ``Stop`` during a wait for workers [s]."""
 _MAX_DEATHS = 3
 """Number of successive deaths of a worker after which its calls fail."""
-_PRELOAD = ["flipperctl.rollout.preloaded"]
+_PRELOAD = "flipperctl.rollout.preloaded"
 """What the fork server imports once for all its workers."""
 _LONG = 2**15
 """Length from which messages go through files [B]. A process that dies while a longer one is in a
@@ -78,11 +78,13 @@ class WorkerPool:
         initializer: Callable[..., None],
         arguments: tuple[Any, ...],
         start: Callable[[], Host] | None = None,
+        modules: Sequence[str] = (),
     ) -> None:
+        """``modules``: what a server imports for its workers, beside what all of them need."""
         self.count = count
-        # A server imports torch once for all workers; for one worker it would only add to memory.
+        # A server imports once for all workers; for one worker it would only add to memory.
         method = "forkserver" if count > 1 else "spawn"
-        self._begin = start or (lambda: ProcessHost(method))
+        self._begin = start or (lambda: ProcessHost(method, modules))
         self._first = initializer, arguments
         self._calls: SimpleQueue[tuple[Future[Any], Any, Any] | None] = SimpleQueue()
         self._hosts: dict[int, Host] = {}
@@ -240,10 +242,10 @@ class _Context:
 
     process: BaseProcess
 
-    def __init__(self, method: str) -> None:
+    def __init__(self, method: str, modules: Sequence[str]) -> None:
         self._context: Any = multiprocessing.get_context(method)
-        if method == "forkserver":
-            self._context.set_forkserver_preload(_PRELOAD)
+        if method == "forkserver":  # one that runs already keeps what it has
+            self._context.set_forkserver_preload([*modules, _PRELOAD])
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._context, name)
@@ -256,11 +258,14 @@ class _Context:
 class ProcessHost:
     """A process that answers one call at a time."""
 
-    def __init__(self, method: str = "forkserver") -> None:
-        """``method``: a start method of ``multiprocessing``, ``forkserver`` or ``spawn``."""
+    def __init__(self, method: str = "forkserver", modules: Sequence[str] = ()) -> None:
+        """``method``: a start method of ``multiprocessing``, ``forkserver`` or ``spawn``.
+
+        ``modules``: see ``WorkerPool``.
+        """
         self._folder = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
         self._lock, self._ending = threading.Lock(), ""
-        self._context = _Context(method)
+        self._context = _Context(method, modules)
         self._executor = ProcessPoolExecutor(1, cast("Any", self._context), _begin_worker)
         # An executor starts its process with its first call, which therefore is made here.
         with _starting():

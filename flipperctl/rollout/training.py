@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 
-from flipperctl.agent.networks import build_policy
 from flipperctl.api import Policy, Step
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.episode import steps
+
+if TYPE_CHECKING:
+    import torch
 
 
 class ConfiguredTraining:
@@ -40,6 +41,10 @@ class ConfiguredTraining:
 
     def policy_network(self) -> torch.nn.Module:
         """Return the policy's network with random first weights, which ``seed`` determines."""
+        import torch
+
+        from flipperctl.agent.networks import build_policy
+
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             return build_policy(self.network, self.layout, self.actions)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from flipperctl.agent.plain import PlainNetworks, Weights
 from flipperctl.agent.risk import weights_of
 from flipperctl.api import Learning, RecordedEpisode, Step
 from flipperctl.checkpoint import recording
@@ -24,7 +25,7 @@ from flipperctl.rollout.collect import (
     RayWorkers,
     RolloutWorkers,
 )
-from flipperctl.rollout.episode import EpisodeRecorder, RolloutRequest, Weights, training_seed
+from flipperctl.rollout.episode import EpisodeRecorder, RolloutRequest, training_seed
 from flipperctl.rollout.pool import Stop
 from flipperctl.rollout.training import ConfiguredTraining
 from flipperctl.text.files import make_folder
@@ -60,9 +61,15 @@ class EpisodeSource:
     """Starts the collector of a run and requests its episodes in the order of their seeds."""
 
     def __init__(
-        self, training: ConfiguredTraining, learning: Learning, progress: Progress
+        self,
+        training: ConfiguredTraining,
+        learning: Learning,
+        progress: Progress,
+        plain: PlainNetworks | None = None,
     ) -> None:
+        """``plain``: what the workers drive with; None: the networks of torch."""
         self._training, self._learning, self._progress = training, learning, progress
+        self._plain = plain
         self._config: TrainConfig = training.config
         self._weights: tuple[int, Weights] | None = None
         self.lag = 0
@@ -81,9 +88,9 @@ class EpisodeSource:
             return InProcessCollector(self._playing_here(), stop)
         ray = config.collector
         workers = (
-            RayWorkers(ray, config, training.shared, training.report)
+            RayWorkers(ray, config, training.shared, training.report, self._plain)
             if ray.name == "ray"
-            else RolloutWorkers(config.train.workers, config, training.shared)
+            else RolloutWorkers(config.train.workers, config, training.shared, self._plain)
         )
         # The requests of a stopped run come first, with the weights that they had.
         for request in outstanding:

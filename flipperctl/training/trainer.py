@@ -17,6 +17,7 @@ from typing import Any
 import torch
 
 from flipperctl import checkpoint
+from flipperctl.agent.translate import plain_networks
 from flipperctl.api import Listener, Logger, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import (
@@ -82,8 +83,12 @@ class Trainer:
         self.env = self._training.environment()
         with naming(config.agent, "build", ConfigError):
             self.learning = config.agent.build(self._training)
-        self.episodes = EpisodeSource(self._training, self.learning, self.progress)
-        self.validator = Validator(config, self.learning, self.env)
+        # Workers decide by numpy, and so does whoever else plays a validation with them.
+        by_workers = config.train.mode == "fast" and not config.agent.own_loop
+        learner = config.agent, self.learning, config.network, config.perception.layout
+        plain = plain_networks(*learner) if by_workers else None
+        self.episodes = EpisodeSource(self._training, self.learning, self.progress, plain)
+        self.validator = Validator(config, self.learning, self.env, plain)
 
     def run(
         self,

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from flipperctl.agent.plain import PlainNetworks
 from flipperctl.agent.risk import POSITIVES, policy_arrays
 from flipperctl.api import FailureRisk, FloatArray, Learning, Outcome
 from flipperctl.checkpoint.document import BestBy, Validation
@@ -130,9 +131,16 @@ _BEST_BY: Final[dict[str, BestBy]] = {
 class Validator:
     """Validates the learner's policy and keeps the results."""
 
-    def __init__(self, config: TrainConfig, learning: Learning, env: FlipperEnv) -> None:
+    def __init__(
+        self,
+        config: TrainConfig,
+        learning: Learning,
+        env: FlipperEnv,
+        plain: PlainNetworks | None = None,
+    ) -> None:
+        """``plain``: what the workers drive with; None: the networks of torch."""
         self._learning, self._risk = learning, config.agent.failure_risk
-        self._greedy = GreedyPlayer(config, env)
+        self._greedy = GreedyPlayer(config, env, plain)
         settings = config.train
         self._seeds = [
             validation_seed(settings.validation_seed, index)

@@ -16,7 +16,7 @@ from flipperctl.core.risk import LAGS
 from flipperctl.errors import NonFiniteError
 from flipperctl.learners import D3qn
 from flipperctl.learners.double_q import DoubleQ
-from flipperctl.policies.trained import ExploringPolicy
+from flipperctl.policies.acting import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, Ramp, fixed_batch, learner
 
 

@@ -3,6 +3,7 @@
 import importlib
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -38,3 +39,7 @@ def touch(path: Path) -> None:
 
 def mask() -> set[int]:
     return {int(number) for number in signal.pthread_sigmask(signal.SIG_BLOCK, ())}
+
+
+def torch_is_imported() -> bool:
+    return "torch" in sys.modules

@@ -1,23 +1,37 @@
 """The collector of workers: who plays the episodes of a validation, and what a stop ends."""
 
+import pickle
 from collections.abc import Sequence
 from concurrent.futures import Future
+from contextlib import closing
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.risk import policy_arrays
+from flipperctl.agent.plain import PlainNetworks
+from flipperctl.agent.risk import policy_arrays, weights_of
+from flipperctl.agent.translate import plain_networks
 from flipperctl.api import Listener, Perception, Simulator, action_index
 from flipperctl.config import to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout import collect
-from flipperctl.rollout.collect import Actor, AsyncCollector, GreedyPlayer, Stopwatch, Usage
-from flipperctl.rollout.episode import steps
+from flipperctl.rollout.collect import (
+    Actor,
+    AsyncCollector,
+    GreedyPlayer,
+    RolloutWorkers,
+    Stopwatch,
+    Usage,
+)
+from flipperctl.rollout.episode import RolloutRequest, steps
 from flipperctl.rollout.pool import WorkerDiedError
+from flipperctl.training.trainer import Trainer
+from tests.rollout.calls import torch_is_imported
 from tests.short import few, short_config, trainer
 
 
@@ -108,25 +122,62 @@ def test_steps_say_which_actions_were_random() -> None:
     assert [step.explored for step in made] == [False, True, False, True]
 
 
+def plain_of(run: Trainer) -> PlainNetworks:
+    config = run.config
+    layout = config.perception.layout
+    plain = plain_networks(config.agent, run.learning, config.network, layout)
+    assert plain is not None
+    return plain
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_worker_that_only_drives_imports_no_torch(count: int, tmp_path: Path) -> None:
+    run = trainer(few(), tmp_path)
+    weights = weights_of(run.learning.driving)
+    with closing(RolloutWorkers(count, run.config, None, plain_of(run))) as workers:
+        workers.send(RolloutRequest(0, 5, 300, 1, weights))
+        taken = workers.take(lambda: False)
+        assert taken is not None
+        assert not workers._pool.submit(torch_is_imported).result()
+    # Torch in this process plays the same episode.
+    expected = Actor(to_dict(run.config)).play(taken[0], weights)
+    assert taken[1] is not None
+    assert [step.action for step in taken[1]] == [step.action for step in expected]
+    assert all(
+        np.array_equal(a.next_observation, b.next_observation) and a.reward == b.reward
+        for a, b in zip(taken[1], expected, strict=True)
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("by", ["numpy", "torch"])
 @pytest.mark.parametrize("network", ["at_d3qn", "stacked"])
-def test_it_does_not_matter_which_process_plays_a_validation(network: str, tmp_path: Path) -> None:
+def test_it_does_not_matter_which_process_plays_a_validation(
+    network: str, by: str, tmp_path: Path
+) -> None:
     config = short_config(network={"name": network}, **{"agent.risk": True})
     run = trainer(config, tmp_path)
     before = torch.random.get_rng_state()
-    here, there = GreedyPlayer(config, run.validator._greedy._env), Actor(to_dict(config))
+    plain = plain_of(run) if by == "numpy" else None
+    here = GreedyPlayer(config, run.validator._greedy._env, plain)
+    there = Actor(to_dict(config), None, pickle.loads(pickle.dumps(plain)))
     assert torch.equal(torch.random.get_rng_state(), before)  # it draws none of the training's
     weights = policy_arrays(run.learning.policy, run.learning.risk)
     here.load(weights)
     rows = [here.play(3), there.evaluate(weights, 3)]
     assert rows[0] == rows[1]
+    if by == "numpy":  # and torch plays the same but for rounded risks
+        run.validator._greedy.load(weights)
+        played = run.validator._greedy.play(3)
+        assert {k: v for k, v in rows[0].items() if v != played[k]}.keys() <= {"risks"}
     draws = torch.Generator().manual_seed(0)
     size = input_size(config.network, config.perception.layout)
-    rows_in = torch.randn(200, 1, size, generator=draws)
+    rows_in = torch.randn(200, size, generator=draws).numpy()
     ours, theirs = (
-        torch.cat([m(row) for row in rows_in]) for m in (here.module, there._greedy.module)
+        [n.outputs(row) for row in rows_in] for n in (here.network, there._greedy.network)
     )
-    assert torch.equal(ours, theirs)
+    assert ours == theirs
 
 
 @pytest.mark.parametrize(

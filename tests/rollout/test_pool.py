@@ -213,7 +213,7 @@ def test_a_script_says_what_it_lacks(tmp_path: Path) -> None:
 
 @both
 def test_a_worker_that_cannot_start_says_why(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(method: str) -> Any:
+    def refuse(*_: object) -> Any:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     text = r"^worker process 0 cannot start: ModuleNotFound.*x_y"

@@ -16,8 +16,9 @@ from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.play import EpisodeDigest
 from flipperctl.export.policy import export
 from flipperctl.learners.sb3_run import Sb3Learning
+from flipperctl.policies.acting import TrainedPolicy
 from flipperctl.policies.source import ExportedPolicy
-from flipperctl.policies.trained import TrainedPolicy, policy_module
+from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.training.trainer import Trainer
