@@ -22,7 +22,6 @@ eval level terrain=step --episode 3 -> --episode is of a film
 eval level terrain=step --film f.gif --speed 0.3 -> multiples of 0.25
 eval level terrain=step --film f.gif --episodes 2 --episode 5 -> 0 to 1 is evaluated
 eval okada sim=planar,planar -> another engine is compared with planar
-eval okada conditions=varid -> did you mean 'varied'?
 eval okada conditions=trained -> no checkpoint is evaluated; known: nominal
 train conditions=null -> conditions=null: a name is allowed
 train agent=sb4 -> there is no agent plugin 'sb4' | d3qn, policy_gradient, sb3
@@ -44,7 +43,6 @@ inspect plugins flat --output x -> --output needs --check
 train --experimental-rerun x.pickle -> --experimental-rerun
 train terrain = stair -> 'terrain' is no override; write key=value without spaces
 train terrain=corduroy -> 'corduroy'; a plugin of your own | --plugins FILE
-export onnx runs/mine -> runs/mine
 eval --controller level train.decisions=5 \
     -> train.decisions: it belongs to a training, and has no meaning here
 train collector.max_lag=3 -> collector=local has no settings here
@@ -54,14 +52,9 @@ train seed=1,2 -> seed=1,2: several values | add -m
 eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher
 eval runs/x -> runs/x | no such run | generalist
-inspect config =3 -> '=3' is no override
-train terrain=stiar -> terrain | 'stiar' | 'stair'
-train rewards=paper rewards.pitch.lamda_2=3 -> rewards.pitch.lamda_2 | 'lambda_2'
 train +reward@rewards.way=shaped_progress agent.gamma=0.95 \
     -> rewards.way.gamma: 0.99 | agent.gamma (0.95) | set rewards.way.gamma=0.95
 train +terrain=step -> terrain exists already | write terrain=step
-train terrain=step terrain.hihgt=0.2 -> terrain.hihgt | 'height'
-train agent.gamma=1.5 -> gamma | < 1 | 1.5
 train '~rewards' -> rewards: | a training needs a term | none
 train rewards=paper '~rewards.flipper' '~rewards.pitch' rewards.end.weight=0 \
     -> a training needs a term whose weight is not 0 | end
@@ -71,7 +64,6 @@ train agent.replay_size=10000000 train.decisions=1000000000 perception.bins=101 
 eval --controller planner controller.widht=5 -> controller.widht | 'width' | budget
 train sim.substep=0.003 -> sim | substep must divide 0.01
 train --resume nowhere -> nowhere | no such run
-train --plugins nowhere.py -> nowhere.py | does not exist
 replay nowhere.json -> nowhere.json: it cannot be read | No such file
 eval -> name a policy, as in: flipperctl eval generalist terrain=stair
 eval --controller okada --baseline generalist -> --baseline | name it as a policy beside
@@ -90,8 +82,6 @@ map okada terrain=uplift --over perception.occlusion,sim.friction -> it is no nu
 map okada terrain=uplift --over terrain.height=1:0,sim.friction -> from a lower to a higher number
 map okada terrain=uplift randomise.sim.friction=[0.8,1.2] --over terrain.height,sim.friction \
     -> --over sim.friction: it has no effect
-map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 suite=paper \
-    -> suite=…: map takes one scene
 map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 sim=planar,mujoco \
     -> map takes one scene; the settings give 2
 tune -> tune takes one controller, as in: flipperctl tune okada
@@ -100,7 +90,6 @@ tune okada budget=100 terrain=stair -> budget: at least 187 episodes are needed 
 tune okada --for reward '~rewards' -> --for reward: there is no reward term
 tune hfc terrain=stair -> hfc learns from demonstrations; add from=POLICY or a folder of drives
 tune okada from=level -> from=level: okada takes no demonstrations here; leave it out
-tune zimmermann budget=5 terrain=step -> budget: at least 11 episodes are needed | is 5
 inspect reward --regret -> --regret: name a policy
 inspect reward level generalist --regret perception.bins=9 -> bins=15
 inspect reward level okada controller=level -> the policies are named by words
@@ -111,7 +100,6 @@ new terrain 'My Own' -> 'My Own' | lower-case letters
 new reward signal -> 'signal' | standard library | signal_reward is free
 new terrain torch -> 'torch' | the package torch | torch_terrain is free
 new terrain stair -> 'stair' | already | stairs.py:
-new terrain mine --output file -> file | cannot be written
 bench --small decisions -> 'decisions' | did you mean 'decision'
 train -m seed=1,2 --cfg job -> --cfg: it shows one configuration; leave --multirun out
 train seed=1,2 --cfg job -> give one value of seed
@@ -122,7 +110,6 @@ train --output a --resume b -> --output: no meaning beside --resume
 train agent.learning_rate=true -> agent.learning_rate: a number is allowed
 train --terrain stair -> --terrain; policies are words, and settings key=value
 train --out here -> (did you mean '--output'?
-eval okada --episodess 5 -> --episodess (did you mean '--episodes'?
 eval okada --seed 3 eval.seed=4 \
     -> eval.seed is given twice: --seed 3 and eval.seed=4; one is allowed
 map okada --over=seed,seed --episodes 3 ++eval.episodes=4 \
