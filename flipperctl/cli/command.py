@@ -22,11 +22,6 @@ from flipperctl.terminal.streams import print_note
 class Command(TyperCommand):
     """A subcommand that refuses repeated options and explains unknown ones."""
 
-    foreign_options: ClassVar[Sequence[str]] = ()
-    """Options that the subcommand passes on unchanged."""
-    context: ClassVar[dict[str, bool]] = {}
-    """Settings of click's context."""
-
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters; help shows no type behind those without a value."""
         return _without_types(super().get_params(ctx))
@@ -61,7 +56,7 @@ class Command(TyperCommand):
         arguments = [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
         for typed in filter(None, (values.get(argument.name) for argument in arguments)):
             words += [typed] if isinstance(typed, str) else typed
-        known = [name for option in options for name in option.opts] + [*self.foreign_options]
+        known = [name for option in options for name in option.opts]
         _refuse_unknown(words, known)
 
 
@@ -167,16 +162,16 @@ class App(typer.Typer):
         those that are not named.
         """
         self._words, self._order = words, order
-        self._functions: dict[str, tuple[Callable[..., Any], type[Command]]] = {}
+        self._functions: dict[str, Callable[..., Any]] = {}
         self._groups: dict[str, App] = {}
         cls = type("Group", (Group,), {"app": self})
         super().__init__(
             cls=cls, rich_markup_mode="rich", pretty_exceptions_enable=False, **settings
         )
 
-    def add(self, name: str, run: Callable[..., Any], cls: type[Command] = Command) -> None:
+    def add(self, name: str, run: Callable[..., Any]) -> None:
         """Register a function as a subcommand, whose help is its docstring."""
-        self._functions[name] = run, cls
+        self._functions[name] = run
 
     def group(self, name: str, text: str) -> App:
         """Return a new group of subcommands with this help."""
@@ -201,13 +196,13 @@ class App(typer.Typer):
         """Return the subcommand or group of a name as click has it; KeyError if there is none."""
         if (group := self._group(name)) is not None:
             return typer.main.get_command(group)
-        run, cls = self._function(name)
+        run = self._function(name)
         if name not in self._functions:
             run = plugged.with_plugins(run)
         alone = typer.Typer(
             add_completion=False, rich_markup_mode="rich", pretty_exceptions_enable=False
         )
-        alone.command(name, help=_help(run), cls=cls, context_settings=cls.context)(run)
+        alone.command(name, help=_help(run), cls=Command)(run)
         return typer.main.get_command(alone)
 
     def summaries(self) -> Iterator[tuple[str, str]]:
@@ -215,7 +210,7 @@ class App(typer.Typer):
         for name in self.names():
             try:
                 group = self._group(name)
-                yield name, str(group.info.help) if group else _help(self._function(name)[0])
+                yield name, str(group.info.help) if group else _help(self._function(name))
             except FlipperctlError as error:
                 print_note(f"warning: {error}")
 
@@ -226,9 +221,8 @@ class App(typer.Typer):
             self.group(name, plugged.help_text(words))
         return self._groups.get(name)
 
-    def _function(self, name: str) -> tuple[Callable[..., Any], type[Command]]:
-        known = self._functions.get(name)
-        return known or (plugged.function((*self._words, name)), Command)
+    def _function(self, name: str) -> Callable[..., Any]:
+        return self._functions.get(name) or plugged.function((*self._words, name))
 
 
 NO_FLAGS = {"default_map": {"help": False}}

@@ -40,7 +40,7 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
     """Train, evaluate, export and explain flipper policies of tracked rescue robots."""
 
 
-app.add("train", train.train, train.TrainCommand)
+app.add("train", train.train)
 app.add("eval", evaluate.evaluate)
 app.add("map", evaluate.map_success)
 app.add("replay", evaluate.replay)

@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import typer
 
 from flipperctl.cli import options
-from flipperctl.cli.command import Command
 from flipperctl.errors import RequestError
 
 
-class TrainCommand(Command):
-    """The subcommand, which passes Hydra's options on."""
+class Shown(StrEnum):
+    """Parts of a composed configuration."""
 
-    foreign_options = (
-        "-m",
-        "--multirun",
-        "-c",
-        "--cfg",
-        "-p",
-        "--package",
-        "--resolve",
-        "-i",
-        "--info",
-        "-cd",
-        "--config-dir",
-        "-cn",
-        "--config-name",
-        "-cp",
-        "--config-path",
-        "--hydra-help",
-    )
-    context: ClassVar = {"ignore_unknown_options": True}  # Hydra's own arrive as overrides
+    job = "job"
+    hydra = "hydra"
+    all = "all"
 
 
 def train(
@@ -48,8 +32,11 @@ def train(
         Path | None, typer.Option(metavar="DIR", help="Folder of the run, or of the runs with -m.")
     ] = None,
     cfg: Annotated[
-        str | None,
+        Shown | None,
         typer.Option(metavar="job|hydra|all", help="Print the composed configuration and stop."),
+    ] = None,
+    config_dir: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder with files of configuration.")
     ] = None,
     plugins: options.PluginPaths = None,
 ) -> None:
@@ -71,7 +58,8 @@ def train(
 
     arguments = list(overrides or [])
     if resume is not None:
-        refuse_beside("--resume", {"cfg": cfg, "multirun": multirun, "output": output})
+        others = {"cfg": cfg, "multirun": multirun, "output": output, "config-dir": config_dir}
+        refuse_beside("--resume", others)
         _resume(resume, arguments)
         return
     if output is not None:
@@ -79,16 +67,13 @@ def train(
 
         key = "hydra.sweep.dir" if multirun else "hydra.run.dir"
         refuse_beside("--output", {word: True for word in arguments if key_of(word) == key})
+        # Hydra looks the name up twice, so that a quoted ${…} would still be replaced.
         if "${" in str(output):
             raise RequestError(f"--output {output}: Hydra would replace the ${{…}}; choose another")
         arguments.append(literal_override(key, str(output)))
-    if cfg is not None:
-        arguments += ["--cfg", cfg]
-    if multirun:
-        arguments.append("--multirun")
     from flipperctl.cli.hydra.application import train
 
-    train(arguments, check=cfg is None)
+    train(arguments, multirun=multirun, cfg=cfg, config_dir=config_dir)
 
 
 def _resume(run: Path, words: list[str]) -> None:

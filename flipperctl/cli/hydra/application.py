@@ -5,16 +5,15 @@ In: the words of the command, including Hydra's options. Out: a run in each job'
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -47,37 +46,17 @@ from flipperctl.training import folder as run_folder
 from flipperctl.training import run as training_run
 from flipperctl.training.sweep import stop_of
 
-_VALUED = ("cfg", "package", "info", "config_dir", "config_name", "config_path")
-_FLAGS = ("multirun", "resolve", "hydra_help")
-"""Hydra's options that ``flipperctl train`` passes on, with a value and without."""
-_INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 
+def train(
+    overrides: Sequence[str],
+    *,
+    multirun: bool = False,
+    cfg: str | None = None,
+    config_dir: Path | None = None,
+) -> None:
+    """Run Hydra with the overrides and its own options.
 
-class _Options(argparse.ArgumentParser):
-    """Hydra's options and overrides; its own parser is private."""
-
-    def __init__(self) -> None:
-        super().__init__(add_help=False, allow_abbrev=False)
-        self.add_argument("overrides", nargs="*")
-        self.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
-        self.add_argument("--info", "-i", const="all", nargs="?", choices=_INFO)
-        self.add_argument("--package", "-p")
-        self.add_argument("--config-dir", "-cd")
-        self.add_argument("--config-name", "-cn")
-        self.add_argument("--config-path", "-cp")
-        self.add_argument("--multirun", "-m", action="store_true")
-        self.add_argument("--resolve", action="store_true")
-        self.add_argument("--hydra-help", action="store_true")
-
-    def error(self, message: str) -> NoReturn:
-        """Refuse the words in one line."""
-        raise ConfigError(f"{message}; see flipperctl train --hydra-help")
-
-
-def train(arguments: list[str], *, check: bool) -> None:
-    """Run Hydra with the words after ``flipperctl train``.
-
-    With ``check``, the composed configurations are checked before Hydra creates a directory.
+    The composed configurations are checked before Hydra creates a directory.
 
     Raises:
         RequestError: a word is wrong, or the terrain, device or network cannot be used.
@@ -85,17 +64,15 @@ def train(arguments: list[str], *, check: bool) -> None:
     """
     register_defaults()
     register_sweepers()
-    # Hydra gets words that are known to be good, unless options bring files of the user's.
-    parsed = vars(_Options().parse_intermixed_args(arguments))  # options may stand between words
-    requests = from_words(parsed["overrides"])
-    several = _several(parsed, requests)
-    options = [(_typed(name), value) for name in _VALUED if (value := parsed[name])]
-    # They may add other configuration files; then each job checks its own.
-    checked = check and not options
-    requests.check_training(several=several or bool(options))
+    # Hydra gets words that are known to be good; files of the user's are checked by each job.
+    requests = from_words(overrides)
+    several = _several(requests, multirun=multirun, cfg=cfg)
+    checked = cfg is None and config_dir is None
+    requests.check_training(several=several or not checked)
     configs = _check(requests) if checked else []
-    flags = [_typed(name) for name in _FLAGS if parsed[name]]
-    words = [*(word for option in options for word in option), *flags, *requests.words]
+    words = [*(["--multirun"] if multirun else []), *(["--cfg", cfg] if cfg else [])]
+    words += ["--config-dir", str(config_dir)] if config_dir else []
+    words += requests.words
 
     # The error of a single run is kept from Hydra.
     errors: list[BaseException] = []
@@ -122,7 +99,7 @@ def train(arguments: list[str], *, check: bool) -> None:
         # import from the working directory, where a user's random.py may lie.
         environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
         with convert_hydra_errors(), preset_folders(), env_override(environment):
-            _show(application) if parsed["cfg"] else application()
+            _show(application) if cfg else application()
         if errors:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
@@ -148,10 +125,6 @@ def _remove_empty(directory: Path) -> None:
                 folder.rmdir()
 
 
-def _typed(name: str) -> str:
-    return f"--{name}".replace("_", "-")
-
-
 def _show(application: Callable[[], object]) -> None:
     """Let Hydra print a configuration; where it prints the reason that it cannot, raise it."""
     said = io.StringIO()
@@ -163,32 +136,18 @@ def _show(application: Callable[[], object]) -> None:
     sys.stderr.write(said.getvalue())
 
 
-def _several(parsed: Mapping[str, Any], requests: Requests) -> bool:
-    """Return whether the command makes several runs: by its option, or by Hydra's setting.
-
-    Options that do not go together, on which Hydra fails, are refused.
-    """
-    modes = [mode.name for mode in RunMode]
+def _several(requests: Requests, *, multirun: bool, cfg: str | None) -> bool:
+    """Return whether the command makes several runs: by its option, or by Hydra's setting."""
     mode = requests.choice("hydra.mode")
-    if mode is not None and mode not in modes:
-        raise ConfigError(f"hydra.mode: {' or '.join(modes)} is allowed; the value is {mode}")
-    if parsed["multirun"] and mode == RunMode.RUN.name:
+    if multirun and mode == RunMode.RUN.name:
         raise ConfigError(f"hydra.mode={mode}: no meaning beside --multirun; leave it out")
-    several = parsed["multirun"] or mode == RunMode.MULTIRUN.name
-
-    # What Hydra shows is of one configuration.
-    shown = [f"--{name}" for name in ("cfg", "info") if parsed[name]]
-    if shown and (several or requests.swept):
+    several = multirun or mode == RunMode.MULTIRUN.name
+    if cfg and (several or requests.swept):
         raise ConfigError(
-            f"{shown[0]}: it shows one configuration; leave --multirun out, and give one value of "
+            "--cfg: it shows one configuration; leave --multirun out, and give one value of "
             f"{', '.join(requests.swept) or 'each setting'}"
         )
-    if len(shown) > 1:
-        raise ConfigError(f"{shown[1]}: no meaning beside {shown[0]}; leave one out")
-    for name in ("resolve", "package"):
-        if parsed[name] and not parsed["cfg"]:
-            raise ConfigError(f"--{name}: no meaning without --cfg")
-    return bool(several)
+    return several
 
 
 def _check(requests: Requests) -> list[TrainConfig]:

@@ -38,14 +38,14 @@ def test_the_folder_of_a_run_and_of_a_sweep_is_the_output(tmp_path: Path) -> Non
 
 
 def test_options_may_stand_between_overrides(tmp_path: Path) -> None:
-    words = "seed=4 -p agent agent.batch_size=9 --cfg job device=cpu"
+    words = "seed=4 --cfg job agent.batch_size=9 device=cpu"
     done = call("train", *words.split(), cwd=tmp_path)
     assert done.code == 0, done.err
     assert "batch_size: 9" in done.out
 
 
 def test_files_of_configuration_are_read_by_hydra(tmp_path: Path, my: Path) -> None:
-    words = ["--config-dir", "my", "experiment=mine", "--cfg", "job", "--package", "agent"]
+    words = ["--config-dir", "my", "experiment=mine", "--cfg", "job"]
     done = call("train", *words, cwd=tmp_path)
     assert "batch_size: 64" in done.out
     assert "learning_rate: 0.0001" in done.out
