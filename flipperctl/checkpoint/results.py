@@ -120,13 +120,18 @@ def read_config(path: Path) -> tuple[Any, str]:
         return None, str(error)
 
 
+def summary_of(directory: Path) -> dict[str, Any]:
+    """Return a run's ``summary.json``; empty while it trains, or if it was killed."""
+    try:
+        summary = json.loads((directory / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return summary if isinstance(summary, dict) else {}
+
+
 def finished(directory: Path, decision: int) -> dict[str, Any] | None:
     """Return ``summary.json`` if the run finished at this decision, else None."""
-    try:
-        summary = json.loads((directory / SUMMARY).read_text())
-    except (OSError, ValueError):
-        return None
-    content: dict[str, Any] = summary if isinstance(summary, dict) else {}
+    content = summary_of(directory)
     ends = content.get("finished") is True and content.get("decisions") == decision
     return content if ends else None
 

@@ -6,7 +6,6 @@ Out: plain values.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,7 +19,7 @@ from typing import Any, NamedTuple
 from flipperctl.api import Learner, Robot, Settings, registry
 from flipperctl.api.plugin import broken
 from flipperctl.checkpoint import shipped_policies
-from flipperctl.checkpoint.results import CONFIG, SUMMARY, holds_run, read_config
+from flipperctl.checkpoint.results import CONFIG, holds_run, read_config, summary_of
 from flipperctl.cli.glossary import GLOSSARY
 from flipperctl.config import (
     Episode,
@@ -344,10 +343,7 @@ def _run(folder: Path) -> dict[str, Any]:
     # A run that was killed has no summary, but a configuration.
     config, _ = read_config(folder / CONFIG)
     plain: dict[str, Any] = config if isinstance(config, dict) else {}
-    try:
-        document: dict[str, Any] = json.loads((folder / SUMMARY).read_text("utf-8"))
-    except (OSError, ValueError):  # it still trains, or was killed
-        document = {}
+    document = summary_of(folder)
     best = of_reached(document.get("best") or {})
     changed = max(file.stat().st_mtime for file in (folder, *folder.glob("*.*")))
     return {

@@ -101,13 +101,13 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     from flipperctl.evaluation.conditions import read_config
     from flipperctl.policies.source import PolicySource
     from flipperctl.requests.compose import register_trained
-    from flipperctl.views.card import read_document
+    from flipperctl.views.card import whole_document
 
     # One command for all terrains of equal words
     primary = register_trained(read_config(PolicySource(file), ["flat"], lambda line: None))
     groups: dict[tuple[tuple[str, ...], str], dict[str, None]] = {}
     for folder in results:
-        for scene in read_document(folder)["scenes"]:
+        for scene in whole_document(folder)["scenes"]:
             words, note = _words(primary, scene)
             groups.setdefault((tuple(words), note), {})[scene["terrain"]] = None
     eval_ = ("flipperctl", "eval", str(policy))

@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from flipperctl.config import strict_yaml
-from flipperctl.config.resolver import create
+from flipperctl.config.resolver import create, parse
 from flipperctl.errors import ConfigError
 from flipperctl.text.files import OutputKind
-from flipperctl.text.messages import explain
 
 FORMAT: Literal["flipperctl policy 1"] = "flipperctl policy 1"
 _SUFFIXES = (".yaml", ".yml")
@@ -112,10 +111,7 @@ def read(path: str, where: str = "") -> PolicyFile:
             f"{name}: a policy file of flipperctl tune is allowed, whose first line is "
             f"format: {FORMAT}"
         )
-    try:
-        file = PolicyFile(**document)
-    except ValidationError as error:
-        raise ConfigError(explain(error, name, PolicyFile)) from error
+    file = parse(PolicyFile, document, name)
     # The controller is made once to check its settings.
     create("controller", {**file.settings, "name": file.controller}, f"{name}: settings")
     return file

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 from pydantic_core import PydanticSerializationError
 
 from flipperctl.api import Plugin, Robot, Settings, registry
@@ -24,7 +24,7 @@ from flipperctl.plugging import guard
 from flipperctl.text.files import at_home
 from flipperctl.text.messages import broken_hint, close_match, explain, missing_name
 
-SettingsT = TypeVar("SettingsT", bound=Settings)
+ModelT = TypeVar("ModelT", bound=BaseModel)
 
 METRICS_ALONE = "csv"
 """Choice of loggers that adds nothing to ``metrics.csv``, which every run writes."""
@@ -116,10 +116,10 @@ def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
         guard.raise_named(error, cls, "its construction", PluginError)
 
 
-def parse(model: type[SettingsT], values: Mapping[str, Any], where: str = "") -> SettingsT:
+def parse(model: type[ModelT], values: Any, where: str = "") -> ModelT:
     """Validate composed values; an error names the path, after ``where``, and what is allowed."""
     try:
-        return model(**at_home(values))
+        return model.model_validate(at_home(values))
     except ValidationError as error:
         raise ConfigError(explain(error, where, model)) from error
 

@@ -6,10 +6,12 @@ methods with the episodes that all of them played.
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,25 @@ _KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
 
 Episodes = dict[str, dict[str, tuple[float, bool]]]
 """Of one policy: measure and whether the finish was reached, by scene and the episode's seed."""
+
+
+def read_document(folder: Path) -> dict[str, Any]:
+    """Return the document that ``eval --output`` wrote into a folder.
+
+    Raises:
+        RequestError: it cannot be read, or is damaged.
+    """
+    file = folder / SUMMARY
+    try:
+        document: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RequestError(
+            f"{file}: it cannot be read ({error.strerror}); a folder of flipperctl eval --output "
+            "is allowed"
+        ) from error
+    except ValueError as error:
+        raise RequestError(f"{file}: it is damaged: {error}") from error
+    return document
 
 
 @dataclass(frozen=True)

@@ -12,15 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from flipperctl.config import EvalConfig
+from flipperctl.config import EvalConfig, parse, strict_yaml
 from flipperctl.errors import RequestError
 from flipperctl.live.drives import PRACTICE, DriveFolder, Task
 from flipperctl.policies.source import PolicySource
 from flipperctl.text.files import write_bytes
-from flipperctl.text.messages import explain
 
 
 class Study(BaseModel):
@@ -65,16 +63,8 @@ class Study(BaseModel):
 
 def read_study(path: Path, person: str) -> Study:
     """Read a study; ``person`` must be one of its people."""
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-        study = Study.model_validate(document)
-    except OSError as error:
-        raise RequestError(f"--study {path}: it cannot be read: {error.strerror}") from error
-    except ValidationError as error:
-        raise RequestError(f"--study {path}: {explain(error, '', Study)}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        text = " ".join(str(error).split())
-        raise RequestError(f"--study {path}: it is no YAML: {text}") from error
+    where = f"--study {path}"
+    study = parse(Study, strict_yaml.read(path, where), where)
     if person not in study.people:
         raise RequestError(
             f"--as {person}: --study {path} has no such person; {', '.join(study.people)} are "

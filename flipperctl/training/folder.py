@@ -10,7 +10,6 @@ Every file is written completely or not at all. A killed process leaves one of t
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import shutil
 from collections.abc import Iterable, Mapping
@@ -29,6 +28,7 @@ from flipperctl.checkpoint.results import (
     holds_run,
     is_held,
     read_config,
+    summary_of,
 )
 from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.config.identity import differences
@@ -240,13 +240,12 @@ def summarise(run: Path, episodes: Rows, validations: Rows) -> dict[str, Any]:
 
     ``running``: whether a process trains it now. Columns of later versions are left empty.
     """
-    file = run / SUMMARY
     numbers = [
         {key: row.number(key) if row.get(key) else None for key in _SHOWN} for row in validations
     ]
     return {
         "run": str(run),
-        "summary": json.loads(file.read_text("utf-8")) if file.is_file() else None,
+        "summary": summary_of(run) or None,
         "running": is_held(run),
         "episodes": len(episodes),
         "validations": [of_reached(row) for row in numbers],

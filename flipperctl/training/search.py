@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from omegaconf import OmegaConf
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from flipperctl.api import Settings
 from flipperctl.checkpoint import job_order
 from flipperctl.checkpoint.results import SUMMARY
+from flipperctl.config import parse
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -35,7 +36,6 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.process.session import command
-from flipperctl.text.messages import explain
 from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
 
 if TYPE_CHECKING:
@@ -93,10 +93,7 @@ def check_settings(values: Mapping[str, Any]) -> SearchSettings:
         raise MissingExtraError(
             "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
         ) from error
-    try:
-        settings = SearchSettings(**values)
-    except ValidationError as error:
-        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
+    settings = parse(SearchSettings, values, "hydra.sweeper")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return settings
 

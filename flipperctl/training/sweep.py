@@ -8,7 +8,6 @@ job. One Ctrl-C stops every run, in any process in which a launcher trains it.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import time
@@ -17,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from flipperctl.checkpoint.results import SUMMARY, hold, holds_run, is_dead, names
+from flipperctl.checkpoint.results import hold, holds_run, is_dead, names, summary_of
 from flipperctl.config.words import literal_override
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError, RunHeldError
 from flipperctl.process.session import command, interrupts
@@ -130,11 +129,7 @@ def sweep_run(
     """Return a run, read from its folder; ``error`` is the one that ended its job, if any."""
     if error is not None and not isinstance(error, Exception):
         error = FlipperctlError(repr(error))
-    try:
-        summary = json.loads((folder / SUMMARY).read_text())
-    except (OSError, ValueError):  # the run failed before it wrote one, or is on another machine
-        summary = {}
-    return SweepRun(number, swept, folder, error, summary if isinstance(summary, dict) else {})
+    return SweepRun(number, swept, folder, error, summary_of(folder))
 
 
 def write_comparison(

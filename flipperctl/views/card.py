@@ -18,12 +18,13 @@ import yaml
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.checkpoint import Checkpoint
+from flipperctl.checkpoint.results import summary_of
 from flipperctl.config import DEFAULT_LEARNER, TrainConfig, strict_yaml
 from flipperctl.config.describe import settings
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.store import FOLDER, played_policies
-from flipperctl.evaluation.stored import SUMMARY
+from flipperctl.evaluation.stored import SUMMARY, read_document
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.text.files import OutputKind
@@ -154,12 +155,11 @@ def ends_text(ends: Ends | None, digits: int, *, interval: bool = True) -> str:
     return f"{text} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def read_document(folder_or_file: Path) -> dict[str, Any]:
-    """Return the results of a folder of ``eval --output``, or of its file, with their ``rows``."""
-    path = folder_or_file / SUMMARY if folder_or_file.is_dir() else folder_or_file
+def whole_document(folder: Path) -> dict[str, Any]:
+    """Return the results of a folder of ``eval --output``, with their ``rows``."""
+    document, path = read_document(folder), folder / SUMMARY
     try:
         # A card must not be made of half an evaluation.
-        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if document.get("interrupted"):
             raise RequestError(
                 f"{path}: its evaluation was interrupted; eval with the same words and --output "
@@ -171,10 +171,6 @@ def read_document(folder_or_file: Path) -> dict[str, Any]:
                 f"{failed[0]['terrain']}"
             )
         return document | {"rows": list(rows_of(document))}
-    except OSError as error:
-        raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise RequestError(f"{path}: it is no JSON document: {error}") from error
     except (KeyError, TypeError, AttributeError) as error:
         raise RequestError(f"{path}: it holds no results of eval; it lacks {error}") from error
 
@@ -183,7 +179,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     """Return the stored results of a policy and its baselines; the label becomes its name."""
     result = []
     for folder in results:
-        rows, played = read_document(folder)["rows"], played_policies(folder / FOLDER)
+        rows, played = whole_document(folder)["rows"], played_policies(folder / FOLDER)
         policies = list(dict.fromkeys(row["method"] for row in rows if row["is_policy"]))
         # Results of another policy would stand in its card as its own.
         others = [method for method in policies if not _is(method, file)]
@@ -269,7 +265,7 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
     # The best checkpoint says at which decision it was chosen; a last one has the run's state.
     state = document.state
     count = document.decision if state is None or document.decision is not None else state.decision
-    seconds = _seconds(policy)
+    seconds = summary_of(policy).get("seconds")
     decisions = "" if count is None else f", {count:,} decisions"
     yield (
         f"Network `{config.network.plugin_name}` on the terrain `{config.terrain.plugin_name}`, "
@@ -288,14 +284,6 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
         yield from (f"| `{path}` | {value} |" for path, value in changed.items())
         yield ""
     yield f"SHA-256 of configuration and weights: `{saved.content}`\n"
-
-
-def _seconds(run: Path) -> float | None:
-    """Return the duration of a run's training [s], if its summary is there."""
-    try:
-        return float(json.loads((run / SUMMARY).read_text(encoding="utf-8"))["seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
 
 
 def _changed(config: TrainConfig) -> dict[str, Any]:

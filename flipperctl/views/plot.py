@@ -6,7 +6,6 @@ the figure of a kind.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ from flipperctl.evaluation.seeds import (
     resampled,
     success_interval,
 )
-from flipperctl.evaluation.stored import SUMMARY, read
+from flipperctl.evaluation.stored import read, read_document
 from flipperctl.figures.figure import SUCCESS, VARIATION
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import read as read_traces
@@ -83,10 +82,9 @@ class Request:
         names_of: dict[str, str] = {}
         for path in self.paths():
             try:
-                document = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
-                for name, scene in named(document):
+                for name, scene in named(read_document(path)):
                     names_of[f"{scene['terrain']} {scene['conditions']['hash']}"] = name
-            except (OSError, ValueError, LookupError, TypeError):
+            except (RequestError, LookupError, TypeError):
                 continue  # the episodes alone are needed
         return names_of if len(set(names_of.values())) == len(names_of) else {}
 

@@ -23,7 +23,7 @@ from flipperctl.errors import RequestError
 from flipperctl.evaluation import store
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.statistics import FEWEST
-from flipperctl.evaluation.stored import SUMMARY
+from flipperctl.evaluation.stored import SUMMARY, read_document
 from flipperctl.process.session import command
 from flipperctl.rollout.trace import Trace, read
 from flipperctl.text.files import OutputKind, write_bytes
@@ -63,22 +63,14 @@ def write(folder: Path, path: Path) -> None:
 
 def page(folder: Path) -> str:
     """Return the report of a folder of results; see ``write``."""
-    file = folder / SUMMARY
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise RequestError(
-            f"{file}: it cannot be read ({error.strerror}); a folder of flipperctl eval --output "
-            "is allowed"
-        ) from error
-    except ValueError as error:
-        raise RequestError(f"{file}: it is damaged: {error}") from error
+    document = read_document(folder)
     recorded = read(folder / traces.FILE) if (folder / traces.FILE).exists() else []
     try:
         return _page(folder, document, recorded)
     except (LookupError, TypeError, AttributeError, ValueError) as error:
         raise RequestError(
-            f"{file}: it holds no results of eval, or those of another version; it lacks {error}"
+            f"{folder / SUMMARY}: it holds no results of eval, or those of another version; it "
+            f"lacks {error}"
         ) from error
 
 

@@ -7,7 +7,6 @@ written does not affect the earlier ones.
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -33,7 +32,7 @@ from flipperctl.evaluation.store import (
     write_view,
 )
 from flipperctl.evaluation.stored import FILE as EPISODES
-from flipperctl.evaluation.stored import SUMMARY
+from flipperctl.evaluation.stored import SUMMARY, read_document
 from flipperctl.policies.source import PolicySource
 from flipperctl.process.session import command, interrupts
 from flipperctl.text.files import check_output, write_bytes, write_csv, write_json
@@ -288,12 +287,12 @@ def _lost_rows(folder: Path, document: Document) -> str:
 
     # Rows that had more episodes than any of the new ones
     try:
-        earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        earlier = read_document(folder)
         most: dict[tuple[str, str, int, str], int] = {}
         for row, count in counts(document):
             most[row] = max(count, most.get(row, 0))
         lost = [(row, count) for row, count in counts(earlier) if count > most.get(row, 0)]
-    except (OSError, ValueError, LookupError, TypeError):
+    except (RequestError, LookupError, TypeError):
         return ""  # there are none
     first = [
         f"{who} on {terrain}, seed {seed}, {counted(count, 'episode')}"

@@ -122,7 +122,7 @@ train ~rewards.pitch reward@rewards.pitch=impact \
     -> rewards.pitch is given twice: ~rewards.pitch and reward@rewards.pitch=impact
 watch --no-open -> name a policy
 drive --as ../x --no-open -> --as '../x'
-drive --study none.yaml --no-open -> --study none.yaml: it cannot be read
+drive --study none.yaml --no-open -> --study none.yaml cannot be read
 drive --output file --no-open -> it is a file
 """
 
