@@ -108,12 +108,12 @@ def evaluate(
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.evaluate import Result
     from flipperctl.evaluation.plan import controllers, entrants, split_policies
+    from flipperctl.requests.evaluation import run
+    from flipperctl.requests.filming import Filming
     from flipperctl.requests.plan import make_plan
     from flipperctl.requests.text import from_words
     from flipperctl.terminal.progress import EvaluationProgress
     from flipperctl.views import evaluation
-    from flipperctl.views.filming import Filming
-    from flipperctl.views.run import run
     from flipperctl.views.summary import Document
 
     names, overrides = split_policies(words)
@@ -241,9 +241,9 @@ def replay(
 
       flipperctl replay evaluated/failure_stair_3.json --film stair.gif
     """
+    from flipperctl.requests.replay import lines, replay_file
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.text.show import console, print_lines
-    from flipperctl.views.replay import lines, replay_file
 
     replayed = replay_file(
         file, checkpoint, output, film, progress=episodes_progress, tell=print_note

@@ -29,6 +29,8 @@ from flipperctl.api import (
 from flipperctl.errors import RequestError, other_format
 from flipperctl.text.files import write_bytes
 
+FILE = "traces.npz"
+"""Its name in a folder of ``eval --output``."""
 FORMAT = 1  # number of the file's format
 PERIOD = 0.05
 """Time between two poses of a trace [s]."""

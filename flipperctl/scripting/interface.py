@@ -23,8 +23,10 @@ from flipperctl.errors import (
 from flipperctl.evaluation import evaluate as results
 from flipperctl.evaluation.plan import NamedPolicy, controllers, entrants
 from flipperctl.process.session import interrupts
-from flipperctl.requests import drawing
+from flipperctl.requests import drawing, evaluation
 from flipperctl.requests.compose import compose_train, run_directory
+from flipperctl.requests.evaluation import episode_rows
+from flipperctl.requests.filming import Filming
 from flipperctl.requests.plan import make_plan
 from flipperctl.requests.request import RUN_FOLDER, Request, Requests, from_values
 from flipperctl.scripting import progress as shown
@@ -42,15 +44,12 @@ from flipperctl.terminal.training import check_resumed, print_best
 from flipperctl.text.files import read_csv
 from flipperctl.training.run import Finished, check, check_resumable, start
 from flipperctl.training.run import resume as resume_run
-from flipperctl.views import run as evaluation
 from flipperctl.views.evaluation import (
     csv_rows,
     parse_columns,
     parse_groups,
     print_result,
 )
-from flipperctl.views.filming import Filming
-from flipperctl.views.run import episode_rows
 from flipperctl.views.summary import Document, rate_text
 
 if TYPE_CHECKING:

@@ -28,6 +28,7 @@ from flipperctl.evaluation.seeds import (
 )
 from flipperctl.evaluation.stored import read, read_document
 from flipperctl.figures.figure import SUCCESS, VARIATION
+from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import read as read_traces
 from flipperctl.text.messages import close_match
@@ -213,7 +214,7 @@ def episodes(request: Request) -> tuple[list[Trace], list[str]]:
     """
     traces: list[Trace] = []
     for path in request.paths():
-        file = path / "traces.npz"
+        file = path / TRACES
         if not file.is_file():
             raise RequestError(
                 f"{file}: there is no such file; the eval --output of this folder writes it, again"

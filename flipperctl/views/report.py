@@ -25,10 +25,11 @@ from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.statistics import FEWEST
 from flipperctl.evaluation.stored import SUMMARY, read_document
 from flipperctl.process.session import command
+from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace, read
 from flipperctl.text.files import OutputKind, write_bytes
 from flipperctl.text.show import Column, Table, html
-from flipperctl.views import evaluation, traces
+from flipperctl.views import evaluation
 from flipperctl.views.findings import (
     RULE,
     RULER,
@@ -64,7 +65,7 @@ def write(folder: Path, path: Path) -> None:
 def page(folder: Path) -> str:
     """Return the report of a folder of results; see ``write``."""
     document = read_document(folder)
-    recorded = read(folder / traces.FILE) if (folder / traces.FILE).exists() else []
+    recorded = read(folder / TRACES) if (folder / TRACES).exists() else []
     try:
         return _page(folder, document, recorded)
     except (LookupError, TypeError, AttributeError, ValueError) as error:

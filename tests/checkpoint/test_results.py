@@ -11,8 +11,8 @@ import pytest
 
 from flipperctl.checkpoint.results import ResultFolder, hold, is_held, result_folder
 from flipperctl.errors import WriteError
+from flipperctl.requests import evaluation
 from flipperctl.text import files
-from flipperctl.views import run as evaluation
 from tests.cli.call import Done, call
 
 SHORT = ["episode.run_up=0.8", "episode.run_out=0.2"]

@@ -98,7 +98,7 @@ HIGH = ("terrain=step", "terrain.height=0.4", "sim.friction=0.6")
 def test_engines_stand_side_by_side_and_failures_have_causes_and_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl.views.traces.Traces.record", lambda *given: None)
+    monkeypatch.setattr("flipperctl.requests.traces.Traces.record", lambda *given: None)
     asked = ("eval", "okada", "sim=planar,mujoco", *HIGH, "--episodes", "1", "--output", "out")
     done = call(*asked, cwd=tmp_path)
     assert done.code == 0, done.err

@@ -154,7 +154,7 @@ def test_a_rule_plays_the_ground_of_the_policy_beside_it() -> None:
 def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl.views.traces.Traces.record", lambda *given: None)
+    monkeypatch.setattr("flipperctl.requests.traces.Traces.record", lambda *given: None)
 
     def told(*more: str) -> str:
         count = () if "--episodes" in more else ("--episodes", "1")

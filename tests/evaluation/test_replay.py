@@ -13,8 +13,8 @@ from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.replay import EpisodeRecord, read_record, replay
 from flipperctl.evaluation.rows import DIGEST
 from flipperctl.policies.source import PolicySource, load_policy
-from flipperctl.views import run as evaluation
-from flipperctl.views.run import failure_records
+from flipperctl.requests import evaluation
+from flipperctl.requests.evaluation import failure_records
 
 LEVEL = load_policy("level", "here")
 STEP = EvalConfig(

@@ -37,11 +37,11 @@ from flipperctl.evaluation.store import (
 )
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.requests.evaluation import episode_rows
 from flipperctl.rollout import cluster
 from flipperctl.rollout.pool import WorkerDiedError
 from flipperctl.text import files
 from flipperctl.views import evaluation
-from flipperctl.views.run import episode_rows
 
 LEVEL, OKADA = (load_policy(name, "here") for name in ("level", "okada"))
 

@@ -23,8 +23,8 @@ from flipperctl.figures.figure import save
 from flipperctl.figures.render import BELT, Renderer
 from flipperctl.figures.terrain import terrain_figure
 from flipperctl.policies.source import PolicySource
+from flipperctl.requests.evaluation import picture_names
 from flipperctl.rollout.trace import Trace
-from flipperctl.views.run import picture_names
 
 ROBOT = RobotGeometry()
 STEP = Profile([(0.0, 0.0), (0.0, 0.3), (2.0, 0.3)])

@@ -18,12 +18,12 @@ from flipperctl.figures.animation import FILM, LAST, check_film
 from flipperctl.figures.episode import episode_figure
 from flipperctl.figures.film import Part, SideView, Take, _Shots, film
 from flipperctl.policies.source import load_policy
+from flipperctl.requests.replay import replay_file
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.trace import Trace, instants, map_points, mapped
 from flipperctl.sim.mujoco import Mujoco, shown
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.text.files import check_output, write_json
-from flipperctl.views.replay import replay_file
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
 LEVEL = load_policy("level", "--controller")

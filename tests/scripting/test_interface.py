@@ -34,12 +34,12 @@ from flipperctl.errors import (
 from flipperctl.evaluation import stored
 from flipperctl.policies.source import PolicySource
 from flipperctl.requests.compose import compose_train
+from flipperctl.requests.evaluation import episode_rows
 from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.scripting import interface
 from flipperctl.scripting import progress as notebook
 from flipperctl.scripting.settings import requested
-from flipperctl.views.run import episode_rows
 from tests.cli.call import call
 from tests.test_documentation import example
 

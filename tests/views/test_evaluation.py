@@ -30,6 +30,7 @@ from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import Row, arranged
 from flipperctl.evaluation.statistics import Interval
 from flipperctl.policies.source import PolicySource
+from flipperctl.requests.evaluation import episode_rows
 from flipperctl.requests.plan import scenes
 from flipperctl.requests.text import from_words
 from flipperctl.text.files import write_csv
@@ -37,7 +38,6 @@ from flipperctl.text.show import interval_text, latex
 from flipperctl.views import evaluation
 from flipperctl.views.evaluation import csv_rows, document, parse_columns, parse_groups, policies
 from flipperctl.views.published import published
-from flipperctl.views.run import episode_rows
 from flipperctl.views.summary import named
 from tests.evaluation.samples import entry, episodes, sample
 from tests.evaluation.samples import result as made

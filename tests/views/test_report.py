@@ -9,10 +9,11 @@ from re import findall, sub
 from typing import Any
 
 from flipperctl.evaluation.rows import Row
+from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import write as write_traces
 from flipperctl.text.files import write_json
 from flipperctl.text.show import Column, Table, html
-from flipperctl.views import evaluation, report, traces
+from flipperctl.views import evaluation, report
 from tests.cli.call import call, refused
 from tests.evaluation.samples import result, sample
 from tests.figures.test_figures import trace
@@ -91,7 +92,7 @@ def test_names_cannot_leave_the_text(tmp_path: Path) -> None:
     document["scenes"][0]["controller"] = HOSTILE
     document["command"] = f"flipperctl {HOSTILE}"
     write_json(where / "summary.json", document)
-    write_traces(where / traces.FILE, [trace(policy=HOSTILE, scene=HOSTILE, outcome="overturned")])
+    write_traces(where / TRACES, [trace(policy=HOSTILE, scene=HOSTILE, outcome="overturned")])
     page = report.page(where)
     assert "<script>alert" not in page
     assert page.count("</script>") == 2
@@ -121,7 +122,7 @@ def test_wrong_folders_and_foreign_files_are_refused(tmp_path: Path) -> None:
     good = folder(tmp_path / "good", rows([1.0]))
     (tmp_path / "mine.html").write_text("my page")
     shutil.copytree(good, tmp_path / "cut")
-    (tmp_path / "cut" / traces.FILE).write_bytes(b"PK")
+    (tmp_path / "cut" / TRACES).write_bytes(b"PK")
     shutil.copytree(good, tmp_path / "other")
     (tmp_path / "other" / "summary.json").write_text('{"scenes": [{"name": "older"}]}')
     shutil.copytree(good, tmp_path / "foreign")

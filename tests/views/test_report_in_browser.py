@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 
 from benchmarks import browser as chromium
+from flipperctl.requests.evaluation import episode_rows
+from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import write as write_traces
 from flipperctl.text.files import write_csv, write_json
-from flipperctl.views import evaluation, report, traces
-from flipperctl.views.run import episode_rows
+from flipperctl.views import evaluation, report
 from tests.evaluation.samples import result, sample
 from tests.figures.test_figures import trace
 
@@ -31,7 +32,7 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         trace(4.0, 41, policy="level", scene="step"),
         trace(2.0, 21, policy="mine", scene="step", episode=1, outcome="overturned"),
     ]
-    write_traces(folder / traces.FILE, found)
+    write_traces(folder / TRACES, found)
     report.write(folder, folder / report.FILE)
     return folder / report.FILE
 

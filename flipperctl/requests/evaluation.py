@@ -1,6 +1,6 @@
-"""Write the files of an evaluation, the most important first: numbers before pictures.
+"""Play a plan, and write the files of its result, numbers before pictures.
 
-In: the plan and the result of an evaluation. Out: ``episodes.csv`` with a row per episode,
+In: the plan of an evaluation. Out: ``episodes.csv`` with a row per episode,
 ``summary.json``, tables, recorded failures and episodes, pictures and a film. A file that cannot be
 written does not affect the earlier ones.
 """
@@ -35,15 +35,17 @@ from flipperctl.evaluation.stored import FILE as EPISODES
 from flipperctl.evaluation.stored import SUMMARY, read_document
 from flipperctl.policies.source import PolicySource
 from flipperctl.process.session import command, interrupts
+from flipperctl.requests import traces
+from flipperctl.requests.filming import Filming
+from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.text.files import check_output, write_bytes, write_csv, write_json
 from flipperctl.text.messages import counted
 from flipperctl.text.show import latex
 from flipperctl.views import evaluation as view
-from flipperctl.views import report, traces
-from flipperctl.views.filming import Filming
+from flipperctl.views import report
 from flipperctl.views.summary import Document, compared, short
 
-NAMES = (EPISODES, SUMMARY, "table.csv", "table.tex", traces.FILE)
+NAMES = (EPISODES, SUMMARY, "table.csv", "table.tex", TRACES)
 MOST_FAILURES = 20  # largest number of failures of a scene that are recorded [-]
 _DIGITS = 4  # decimals of ``table.csv``
 
@@ -130,7 +132,7 @@ class _Files:
             recording.require_one_layout(record, [entry.config for entry in entries])
         # File names in the folder, and those that only a complete evaluation writes
         self._pictures = picture_names([] if several else entries)
-        self._later = [traces.FILE, *self._pictures]
+        self._later = [TRACES, *self._pictures]
         self._folder = None
         self.store = EpisodeStore()
         """Episodes that are not played again: those below the folder, if there is one."""
@@ -153,9 +155,7 @@ class _Files:
             return
         # Records are made before any file is written.
         path, records = self._folder.path, list(failure_records(result))
-        self._traces = traces.Traces(
-            path / traces.FILE, traces.choose(result, document), self._tell
-        )
+        self._traces = traces.Traces(path / TRACES, traces.choose(result, document), self._tell)
 
         def write(part: Path) -> None:
             write_csv(part / EPISODES, list(episode_rows(result)))
@@ -165,7 +165,7 @@ class _Files:
             write_bytes(part / "table.tex", latex(table).encode())
             for name, record in records:
                 write_json(part / name, record.model_dump(mode="json"))
-            self._traces.write(part / traces.FILE)
+            self._traces.write(part / TRACES)
 
         # Files are replaced together; the report is of earlier ones, and follows later.
         lost = _lost_rows(path, document)

@@ -22,7 +22,6 @@ from flipperctl.evaluation.rows import DIGEST, Row
 from flipperctl.rollout.trace import Trace, read, write
 from flipperctl.views.summary import Document, named
 
-FILE = "traces.npz"
 FAILURES = 2
 """Largest number of failures of a policy on a scene that are traced [-]."""
 MOST = 200

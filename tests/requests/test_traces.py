@@ -9,8 +9,8 @@ import pytest
 
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace, read, write
-from flipperctl.views import traces
 from tests.cli.call import call
 from tests.figures.test_figures import trace
 
@@ -77,7 +77,7 @@ def test_eval_traces_first_episodes_and_two_failures_and_plays_them_once(
     words = ("eval", "level", *HIGH, "--baseline", "okada", "--output", "out")
     done = call(*words, cwd=tmp_path)
     assert done.code == 0, done.err
-    found = read(tmp_path / "out" / traces.FILE)
+    found = read(tmp_path / "out" / TRACES)
     named = [(one.policy, one.scene, one.episode) for one in found]
     # okada crosses all; the first failure of level is its first episode.
     assert named == [("level", "step", 0), ("okada", "step", 0), ("level", "step", 1)]
@@ -93,11 +93,11 @@ def test_eval_traces_first_episodes_and_two_failures_and_plays_them_once(
     call(*words, cwd=tmp_path)
     assert again == []
     assert (tmp_path / "out" / "step.png").read_bytes() == picture
-    (tmp_path / "out" / traces.FILE).write_bytes(b"damaged")
+    (tmp_path / "out" / TRACES).write_bytes(b"damaged")
     done = call(*words[:-4], "--baseline", "none", *words[-2:], cwd=tmp_path)
     assert "traces.npz: it is damaged" in done.err
     assert again == [0, 1]
-    assert same(read(tmp_path / "out" / traces.FILE)[0], first)
+    assert same(read(tmp_path / "out" / TRACES)[0], first)
 
 
 def same(one: Trace, other: Trace) -> bool:
@@ -119,8 +119,8 @@ def test_ctrl_c_keeps_the_traces_that_are_there_and_the_next_command_plays_the_r
         done = call(*words, cwd=tmp_path)
     assert done.code == 130
     assert "interrupted: 1 of 2 episodes are not in out/traces.npz" in done.err
-    assert [one.episode for one in read(tmp_path / "out" / traces.FILE)] == [0]
+    assert [one.episode for one in read(tmp_path / "out" / TRACES)] == [0]
     again.clear()
     assert call(*words, cwd=tmp_path).code == 0
     assert again == [1]
-    assert [one.episode for one in read(tmp_path / "out" / traces.FILE)] == [0, 1]
+    assert [one.episode for one in read(tmp_path / "out" / TRACES)] == [0, 1]
