@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import shlex
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from flipperctl.cli import options
-from flipperctl.errors import FlipperctlError
 from flipperctl.terminal.streams import print_note
 
 
@@ -35,7 +31,7 @@ def card(
 
     The card is Markdown with the front matter of the Hugging Face Hub, whose model-index has the
     results. RESULTS are folders of [bold]eval --output[/] with this policy; their baselines stand
-    beside it. Each command in the card gives the same hash of conditions, which is checked.
+    beside it. The commands in the card are those that made the results.
 
     [bold]Examples[/]
 
@@ -46,14 +42,14 @@ def card(
     from flipperctl.checkpoint import hub
     from flipperctl.policies.source import load_policy
     from flipperctl.text.files import check_output, write_bytes
-    from flipperctl.views.card import CARD, card_text, policy_rows
+    from flipperctl.views.card import CARD, card_text, commands_of, policy_rows
 
     file = load_policy(policy, takes="checkpoint", tell=print_note).file
     if output is not None:
         check_output(output, CARD)
     folders = results or []
-    rows = policy_rows(file, folders)  # raises for wrong results, before anything is composed
-    text = card_text(policy, file, rows, evaluation_commands(policy, file, folders))
+    rows = policy_rows(file, folders)
+    text = card_text(policy, file, rows, commands_of(folders))
     if push is not None:
         print_note(f"uploaded {hub.push(push, file, text)}")
     if output is not None:
@@ -90,71 +86,6 @@ def report(
         check_output(path, REPORT)
     write(results, path)
     print_note(f"wrote {path}")
-
-
-def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> list[str]:
-    """Return a command for each group of stored scenes with equal conditions and options.
-
-    A comment follows where no command gives the stored conditions. ``policy`` is the name or path
-    that the commands show, ``file`` its checkpoint.
-    """
-    from flipperctl.evaluation.conditions import read_config
-    from flipperctl.policies.source import PolicySource
-    from flipperctl.requests.compose import register_trained
-    from flipperctl.views.card import whole_document
-
-    # One command for all terrains of equal words
-    primary = register_trained(read_config(PolicySource(file), ["flat"], lambda line: None))
-    groups: dict[tuple[tuple[str, ...], str], dict[str, None]] = {}
-    for folder in results:
-        for scene in whole_document(folder)["scenes"]:
-            words, note = _words(primary, scene)
-            groups.setdefault((tuple(words), note), {})[scene["terrain"]] = None
-    eval_ = ("flipperctl", "eval", str(policy))
-    return [
-        shlex.join([*eval_, *words, f"terrain={','.join(terrains)}"]) + note
-        for (words, note), terrains in groups.items()
-    ]
-
-
-def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
-    """Return the options and overrides of a scene, and a note if they miss its conditions."""
-    from flipperctl.config import DEFAULT_ENGINE
-    from flipperctl.evaluation.conditions import Conditions
-    from flipperctl.requests.compose import compose_eval
-    from flipperctl.requests.text import from_words
-    from flipperctl.views.summary import compared
-
-    # The words that a user would have typed
-    stored = scene["conditions"]
-    options = ["--episodes", str(scene["episodes"]), "--seed", str(scene["seed"])]
-    if names := [other["controller"] for other in compared(scene)]:
-        options += ["--baseline", ",".join(names)]
-    if names := scene.get("passable", {}).get("references"):
-        options += ["--passable", ",".join(names)]
-    plugins = {kind: stored[kind]["name"] for kind in ("sim", "perception")}
-    words = [f"conditions={stored['name']}"]
-    words += [f"{kind}={name}" for kind, name in plugins.items() if name != DEFAULT_ENGINE]
-
-    def conditions(*changes: str) -> Conditions:
-        requests = from_words([*words, *changes, f"terrain={scene['terrain']}"])
-        ((config, _),) = compose_eval(requests, primary)
-        return Conditions.of(config)
-
-    try:
-        # Settings that those words miss, as long as this version has them
-        changes = [
-            f"{section}.{name}={json.dumps(value, separators=(',', ':'))}"
-            for section, values in conditions().settings.items()
-            if isinstance(values, Mapping)
-            for name, value in stored[section].items()
-            if name != "name" and value != values.get(name)
-        ]
-        exact = conditions(*changes).hash == stored["hash"]
-    except FlipperctlError:
-        changes, exact = [], False
-    note = "" if exact else "  # and further settings: the hash of conditions differs"
-    return [*options, *words, *changes], note
 
 
 def new(

@@ -155,8 +155,8 @@ def ends_text(ends: Ends | None, digits: int, *, interval: bool = True) -> str:
     return f"{text} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def whole_document(folder: Path) -> dict[str, Any]:
-    """Return the results of a folder of ``eval --output``, with their ``rows``."""
+def _rows_of_all(folder: Path) -> list[StoredRow]:
+    """Return the rows of a folder of ``eval --output``."""
     document, path = read_document(folder), folder / SUMMARY
     try:
         # A card must not be made of half an evaluation.
@@ -170,7 +170,7 @@ def whole_document(folder: Path) -> dict[str, Any]:
                 f"{path}: results are missing, since {failed[0]['controller']} failed on "
                 f"{failed[0]['terrain']}"
             )
-        return document | {"rows": list(rows_of(document))}
+        return list(rows_of(document))
     except (KeyError, TypeError, AttributeError) as error:
         raise RequestError(f"{path}: it holds no results of eval; it lacks {error}") from error
 
@@ -179,7 +179,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     """Return the stored results of a policy and its baselines; the label becomes its name."""
     result = []
     for folder in results:
-        rows, played = whole_document(folder)["rows"], played_policies(folder / FOLDER)
+        rows, played = _rows_of_all(folder), played_policies(folder / FOLDER)
         policies = list(dict.fromkeys(row["method"] for row in rows if row["is_policy"]))
         # Results of another policy would stand in its card as its own.
         others = [method for method in policies if not _is(method, file)]
@@ -202,6 +202,12 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     return result
 
 
+def commands_of(results: Sequence[Path]) -> list[str]:
+    """Return the commands that made stored results; those of Python have none."""
+    documents = map(read_document, results)
+    return [document["command"] for document in documents if "command" in document]
+
+
 def _is(label: str, file: Path) -> bool:
     """Return whether a label of results names a policy's file, or a file of equal content."""
     if label == PolicySource(checkpoint=file).label():
@@ -213,7 +219,7 @@ def _is(label: str, file: Path) -> bool:
 def card_text(policy: Path, file: Path, rows: Sequence[StoredRow], commands: Sequence[str]) -> str:
     """Return the card of a policy; ``policy`` is the name or path, ``file`` its checkpoint.
 
-    ``rows``: results of ``policy_rows``; ``commands``: commands that make the results again.
+    ``rows``: results of ``policy_rows``; ``commands``: commands that made the results.
     """
     saved = checkpoints.read(file)
     label = PolicySource(checkpoint=file).label()
