@@ -140,7 +140,7 @@ def smaller(command: list[str]) -> list[str]:
 
 def with_budget(command: list[str]) -> list[str]:
     """The same command with a budget for a test behind it."""
-    if command[0] == "train" and "--cfg" not in command:
+    if command[0] == "train":
         # Of a sweep two combinations: two values of its first key, one of each other.
         swept = [word for word in command if re.fullmatch(r"\w+=\w+(,\w+)+", word)]
         kept = {word: ",".join(word.split(",")[: 1 if i else 2]) for i, word in enumerate(swept)}

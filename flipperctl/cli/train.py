@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -10,14 +9,6 @@ import typer
 
 from flipperctl.cli import options
 from flipperctl.errors import RequestError
-
-
-class Shown(StrEnum):
-    """Parts of a composed configuration."""
-
-    job = "job"
-    hydra = "hydra"
-    all = "all"
 
 
 def train(
@@ -31,10 +22,6 @@ def train(
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the run, or of the runs with -m.")
     ] = None,
-    cfg: Annotated[
-        Shown | None,
-        typer.Option(metavar="job|hydra|all", help="Print the composed configuration and stop."),
-    ] = None,
     config_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder with files of configuration.")
     ] = None,
@@ -42,7 +29,7 @@ def train(
 ) -> None:
     """Train a policy. Progress goes to stderr, everything else to the run directory.
 
-    OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every key.
+    OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every value.
 
     [bold]Examples[/]
 
@@ -58,7 +45,7 @@ def train(
 
     arguments = list(overrides or [])
     if resume is not None:
-        others = {"cfg": cfg, "multirun": multirun, "output": output, "config-dir": config_dir}
+        others = {"multirun": multirun, "output": output, "config-dir": config_dir}
         refuse_beside("--resume", others)
         _resume(resume, arguments)
         return
@@ -73,7 +60,7 @@ def train(
         arguments.append(literal_override(key, str(output)))
     from flipperctl.cli.hydra.application import train
 
-    train(arguments, multirun=multirun, cfg=cfg, config_dir=config_dir)
+    train(arguments, multirun=multirun, config_dir=config_dir)
 
 
 def _resume(run: Path, words: list[str]) -> None:

@@ -23,7 +23,7 @@ class Odd(Terrain):
 
 def test_what_resume_does_not_take(short_run: Path, tmp_path: Path) -> None:
     resume = ("train", "--resume", str(short_run))
-    for word in ("--cfg=job", "--multirun"):
+    for word in ("--config-dir=mine", "--multirun"):
         text = f"{word.partition('=')[0]}: no meaning beside --resume"
         assert text in refused(*resume, word, cwd=tmp_path)
     assert "keeps its configuration" in refused(*resume, "agent.gamma=0.9", cwd=tmp_path)

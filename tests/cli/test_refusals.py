@@ -101,8 +101,7 @@ new reward signal -> 'signal' | standard library | signal_reward is free
 new terrain torch -> 'torch' | the package torch | torch_terrain is free
 new terrain stair -> 'stair' | already | stairs.py:
 bench --small decisions -> 'decisions' | did you mean 'decision'
-train -m seed=1,2 --cfg job -> --cfg: it shows one configuration; leave --multirun out
-train seed=1,2 --cfg job -> give one value of seed
+train seed=1,2 -> several values make several runs; add -m
 train -m hydra.mode=RUN seed=1,2 -> hydra.mode=RUN: no meaning beside --multirun
 train -m 'seed=glob(*)' -> seed=glob(*): no name fits
 train --output a hydra.run.dir=b -> hydra.run.dir=b: no meaning beside --output

@@ -69,7 +69,7 @@ def test_unknown_robots_and_lists_of_files_are_refused(tmp_path):
         named_robot("absolen")
     assert "known: absolem, nubot" in refused("inspect", "config", "robot=absolen", cwd=tmp_path)
     (tmp_path / "mine.yaml").write_text("chassis_length: 0.7\n")
-    done = call("train", "--cfg", "job", "robot=mine.yaml", cwd=tmp_path)
+    done = call("inspect", "config", "robot=mine.yaml", cwd=tmp_path)
     assert Robot(**yaml.safe_load(done.out)["robot"]) == Robot(chassis_length=0.7)
 
 

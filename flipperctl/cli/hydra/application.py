@@ -6,10 +6,9 @@ In: the words of the command, including Hydra's options. Out: a run in each job'
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -51,7 +50,6 @@ def train(
     overrides: Sequence[str],
     *,
     multirun: bool = False,
-    cfg: str | None = None,
     config_dir: Path | None = None,
 ) -> None:
     """Run Hydra with the overrides and its own options.
@@ -66,13 +64,12 @@ def train(
     register_sweepers()
     # Hydra gets words that are known to be good; files of the user's are checked by each job.
     requests = from_words(overrides)
-    several = _several(requests, multirun=multirun, cfg=cfg)
-    checked = cfg is None and config_dir is None
+    several = _several(requests, multirun=multirun)
+    checked = config_dir is None
     requests.check_training(several=several or not checked)
     configs = _check(requests) if checked else []
-    words = [*(["--multirun"] if multirun else []), *(["--cfg", cfg] if cfg else [])]
-    words += ["--config-dir", str(config_dir)] if config_dir else []
-    words += requests.words
+    folder = ["--config-dir", str(config_dir)] if config_dir else []
+    words = [*(["--multirun"] if multirun else []), *folder, *requests.words]
 
     # The error of a single run is kept from Hydra.
     errors: list[BaseException] = []
@@ -99,7 +96,7 @@ def train(
         # import from the working directory, where a user's random.py may lie.
         environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
         with convert_hydra_errors(), preset_folders(), env_override(environment):
-            _show(application) if cfg else application()
+            application()
         if errors:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
@@ -125,29 +122,12 @@ def _remove_empty(directory: Path) -> None:
                 folder.rmdir()
 
 
-def _show(application: Callable[[], object]) -> None:
-    """Let Hydra print a configuration; where it prints the reason that it cannot, raise it."""
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said):
-            application()
-    except SystemExit as left:
-        raise ConfigError(f"--cfg: {' '.join(said.getvalue().split())}") from left
-    sys.stderr.write(said.getvalue())
-
-
-def _several(requests: Requests, *, multirun: bool, cfg: str | None) -> bool:
+def _several(requests: Requests, *, multirun: bool) -> bool:
     """Return whether the command makes several runs: by its option, or by Hydra's setting."""
     mode = requests.choice("hydra.mode")
     if multirun and mode == RunMode.RUN.name:
         raise ConfigError(f"hydra.mode={mode}: no meaning beside --multirun; leave it out")
-    several = multirun or mode == RunMode.MULTIRUN.name
-    if cfg and (several or requests.swept):
-        raise ConfigError(
-            "--cfg: it shows one configuration; leave --multirun out, and give one value of "
-            f"{', '.join(requests.swept) or 'each setting'}"
-        )
-    return several
+    return multirun or mode == RunMode.MULTIRUN.name
 
 
 def _check(requests: Requests) -> list[TrainConfig]:

@@ -5,6 +5,7 @@ from datetime import datetime, tzinfo
 from pathlib import Path
 
 import pytest
+import yaml
 from hydra.core import utils
 
 from flipperctl import train
@@ -37,18 +38,12 @@ def test_the_folder_of_a_run_and_of_a_sweep_is_the_output(tmp_path: Path) -> Non
     assert (tmp_path / "swept" / "0_seed=1" / "config.yaml").is_file()
 
 
-def test_options_may_stand_between_overrides(tmp_path: Path) -> None:
-    words = "seed=4 --cfg job agent.batch_size=9 device=cpu"
-    done = call("train", *words.split(), cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert "batch_size: 9" in done.out
-
-
 def test_files_of_configuration_are_read_by_hydra(tmp_path: Path, my: Path) -> None:
-    words = ["--config-dir", "my", "experiment=mine", "--cfg", "job"]
+    words = [*QUICK, "--config-dir", "my", "experiment=mine", "--output", "run"]
     done = call("train", *words, cwd=tmp_path)
-    assert "batch_size: 64" in done.out
-    assert "learning_rate: 0.0001" in done.out
+    assert done.code == 0, done.err
+    agent = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())["agent"]
+    assert (agent["batch_size"], agent["learning_rate"]) == (64, 0.0001)
     my.write_text(my.read_text() + "  batch_size: 32\n")
     error = refused("train", *words, cwd=tmp_path)
     assert "found duplicate key batch_size" in error
