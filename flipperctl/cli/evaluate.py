@@ -299,11 +299,6 @@ def compare(
     from flipperctl.text.show import TABLE, console, latex, print_lines, print_table
     from flipperctl.views import compare as view
 
-    if output is not None and output.suffix.lower() in (".png", ".svg", ".pdf"):
-        from flipperctl.process.session import command
-
-        again = command("plot", *folders, "--kind", "profiles", "--output", output)
-        raise RequestError(f"--output {output}: figures are drawn by: {again}")
     if output is not None:
         check_output(output, TABLE)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -86,7 +88,6 @@ def plot(
       flipperctl plot judged --kind series --only at_d3qn --only level
     """
     from flipperctl.figures.figure import PICTURE, save
-    from flipperctl.process import session
     from flipperctl.requests.drawing import draw, kind_of, length
     from flipperctl.text.files import check_output
     from flipperctl.views.plot import Request
@@ -100,15 +101,7 @@ def plot(
         scene=scene, episode=episode, width=None if width is None else length(width),
     )  # fmt: skip
     drawn = draw(request, kind=kind, average=average, style=style, tell=print_note)
-    options_typed = {
-        "--kind": kind, "--name": name, "--only": only, "--metric": metric, "--scene": scene,
-        "--episode": episode, "--against": against, "--width": width,
-    }  # fmt: skip
-    typed: list[str] = []
-    for option, value in options_typed.items():
-        for part in value if isinstance(value, list) else [value] if value is not None else []:
-            typed += [option, str(part)]
-    about = [session.command("plot", *sources, *typed), *drawn.sources]
+    about = [shlex.join(["flipperctl", *sys.argv[1:]]), *drawn.sources]
     save(drawn.figure, path, "; ".join(about))
     print_note(f"wrote {path}")
 

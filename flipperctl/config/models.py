@@ -282,36 +282,33 @@ Files = Mapping[tuple[str, str], str | Path]
 """(kind, name) of a plugin → the name of the file that it came from, or the path of a copy."""
 
 
-class AbsentTerrain(Terrain):
-    """Keep the settings of a terrain if its plugin, or the plugin of an inner one, is missing."""
+class _Absent:
+    """What stands in for a plugin that is missing, with any settings."""
 
     model_config = ConfigDict(extra="allow")
     missing: ClassVar[str]
     """What is missing, and how to get it."""
+
+
+class AbsentTerrain(Terrain, _Absent):
+    """Keep the settings of a terrain if its plugin, or the plugin of an inner one, is missing."""
 
     def generate(self, rng: np.random.Generator) -> NoReturn:
         """Raise a PluginError."""
         raise PluginError(self.missing)
 
 
-class AbsentReward(RewardTerm):
+class AbsentReward(RewardTerm, _Absent):
     """Keep the settings of a reward term whose plugin is missing."""
-
-    model_config = ConfigDict(extra="allow")
-    missing: ClassVar[str]
-    """What is missing, and how to get it."""
 
     def __call__(self, t: Transition) -> NoReturn:
         """Raise a PluginError."""
         raise PluginError(self.missing)
 
 
-class AbsentLearner(Learner):
+class AbsentLearner(Learner, _Absent):
     """Keep the settings of a learner whose plugin is missing."""
 
-    model_config = ConfigDict(extra="allow")
-    missing: ClassVar[str]
-    """What is missing, and how to get it."""
     takes_teacher: ClassVar[bool] = True
 
     @property

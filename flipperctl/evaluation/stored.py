@@ -135,6 +135,16 @@ class Stored:
     """What was left out, in sentences."""
 
 
+def named_path(word: str) -> tuple[str, Path]:
+    """Return the name, empty without one, and the path of ``DIR`` or ``METHOD=DIR``."""
+    name, equals, path = word.partition("=")
+    if not equals or Path(word).exists():
+        return "", Path(word)
+    if not name or not path:
+        raise RequestError(f"{word}: METHOD=DIR or DIR is allowed")
+    return name, Path(path)
+
+
 def read(words: Sequence[str], measure: str) -> Stored:
     """Read the methods of ``DIR`` or ``METHOD=DIR``; ``measure`` is the column of the score.
 
@@ -151,11 +161,7 @@ def read(words: Sequence[str], measure: str) -> Stored:
     """
     reader, seen = _Reader(measure), set[Path]()
     for word in words:
-        name, equals, path = word.partition("=")
-        if not equals or Path(word).exists():
-            name, path = "", word
-        elif not name or not path:
-            raise RequestError(f"{word}: METHOD=DIR or DIR is allowed")
+        name, path = named_path(word)
 
         # One training seed, or a folder with one in each subfolder
         folder = Path(path)

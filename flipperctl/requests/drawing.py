@@ -80,8 +80,7 @@ def draw(
         if (sort := _sort(source)) != KINDS[kind]:
             fitting = ", ".join(name for name, shown in KINDS.items() if shown == sort)
             raise RequestError(
-                f"--kind {kind}: it is drawn from {_FROM[KINDS[kind]]}; "
-                f"of {_path(source)}: {fitting}"
+                f"--kind {kind}: it is drawn from {_FROM[KINDS[kind]]}; of {source}: {fitting}"
             )
     _known("--style", style, ["paper", "slides"])
     _known("--average", average, ["mean", "iqm"])
@@ -125,19 +124,13 @@ def length(text: str) -> float:
     return inches
 
 
-def _path(source: str) -> Path:
-    """Return the path of ``NAME=PATH`` or ``PATH``."""
-    _, equals, path = source.partition("=")
-    return Path(path) if equals and not Path(source).exists() else Path(source)
-
-
 def _sort(source: str) -> Sort:
     """Return what lies at a path."""
     from flipperctl import checkpoint
     from flipperctl.checkpoint.results import CONFIG, METRICS
-    from flipperctl.evaluation.stored import FILE
+    from flipperctl.evaluation.stored import FILE, named_path
 
-    path = _path(source)
+    _, path = named_path(source)
     if (path / "map.json").is_file():
         return "map"
     if (path / FILE).is_file() or any(path.glob(f"*/{FILE}")):
@@ -167,14 +160,14 @@ def _curves(
     from flipperctl.checkpoint.results import METRICS, holds_run, is_held
     from flipperctl.evaluation.names import renamed, taken
     from flipperctl.evaluation.plan import entrants
+    from flipperctl.evaluation.stored import named_path
     from flipperctl.figures import curves
     from flipperctl.training.folder import read_run
 
     runs: dict[str, list[Path]] = {}
     names: dict[str, str] = {}  # names that the user gave with the paths
     for source in request.folders:
-        path = _path(source)
-        named = str(path) != source
+        named, path = named_path(source)
         if holds_run(path) or (path / METRICS).is_file():
             folders = {str(path): [path]}
         else:
@@ -188,7 +181,7 @@ def _curves(
                     "--name NAME=METHOD names each"
                 )
         for method, members in folders.items():
-            name = source.removesuffix(f"={path}") if named else method
+            name = named or method
             names |= {name: name} if named else {}
             runs.setdefault(name, []).extend(m for m in members if m not in runs.get(name, ()))
     free = renamed([name for name in runs if name not in names], request.names)
@@ -223,7 +216,7 @@ def _map(request: Request) -> Drawn:
 
     if len(request.folders) > 1 or request.metrics or request.names:
         raise RequestError("--kind map: it takes one folder, without --metric and --name")
-    file = _path(request.folders[0]) / "map.json"
+    (file,) = (path / "map.json" for path in request.paths())
     try:
         figure = map_figure(json.loads(file.read_text(encoding="utf-8")), **request.sized())
     except (OSError, ValueError, LookupError, TypeError) as error:

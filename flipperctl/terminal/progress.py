@@ -6,7 +6,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 from rich.console import Console
@@ -24,26 +24,11 @@ _RECENT = 20.0  # [s] over which a rate is taken; updates begin later than decis
 _PERIOD = 30.0  # least time between two lines of an evaluation [s]
 
 
-@contextmanager
-def episodes_progress(label: str, total: int) -> Iterator[Callable[[float], None]]:
-    """Show a bar on a terminal; yield a function to call with the number of finished episodes.
-
-    A controller's search before an episode counts as a fraction of that episode.
-    """
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(escape(label), total=total)
-
-        def report(done: float) -> None:
-            bar.update(task, completed=done)
-
-        yield report
-
-
 class EvaluationProgress:
     """Progress over all episodes of several policies: a bar on a terminal, else a line at times.
 
-    It is called as ``episodes_progress`` is, once for each policy on each scene.
+    It is called once for each policy on each scene. A controller's search before an episode counts
+    as a fraction of that episode.
     """
 
     def __init__(self) -> None:
@@ -92,6 +77,13 @@ class EvaluationProgress:
                     print(text, file=sys.stderr, flush=True)
 
             yield report
+
+
+def episodes_progress(label: str, total: int) -> AbstractContextManager[Callable[[float], None]]:
+    """Return the progress over some episodes alone; see ``EvaluationProgress``."""
+    progress = EvaluationProgress()
+    progress.plan(total)
+    return progress(label, total)
 
 
 class Rate:

@@ -311,8 +311,7 @@ class _Search:
 
     def _run_of(self, trial: FrozenTrial) -> Path:
         """Return the run of a trained trial, below the search's folder if that was moved."""
-        noted = self.study.user_attrs.get(f"run {trial.number}")
-        run = Path(noted or trial.user_attrs["run"])  # where earlier versions noted it
+        run = Path(self.study.user_attrs[f"run {trial.number}"])
         moved = self.jobs.folder.absolute() / run.name
         return moved if not run.exists() and moved.exists() else run
 

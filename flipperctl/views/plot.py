@@ -26,7 +26,7 @@ from flipperctl.evaluation.seeds import (
     resampled,
     success_interval,
 )
-from flipperctl.evaluation.stored import read, read_document
+from flipperctl.evaluation.stored import named_path, read, read_document
 from flipperctl.figures.figure import SUCCESS, VARIATION
 from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace
@@ -71,9 +71,7 @@ class Request:
 
     def paths(self) -> Iterator[Path]:
         """Yield the folders."""
-        for folder in self.folders:
-            _, equals, path = folder.partition("=")
-            yield Path(path if equals and not Path(folder).exists() else folder)
+        yield from (named_path(folder)[1] for folder in self.folders)
 
     def scenes(self) -> dict[str, str]:
         """Return the names of scenes in tables, where several are of one terrain.

@@ -103,7 +103,7 @@ def latex_of(folder: Path) -> str:
     [
         (("missing",), "missing: there is no episodes.csv"),
         (("plain", "--against", "leve"), "did you mean 'level'?"),
-        (("plain", "--output", "a.png"), "plot plain --kind profiles --output a.png"),
+        (("plain", "--output", "a.png"), "a .tex file; the suffix is '.png'"),
         (("plain", "--measure", "t_cost"), "--price: t_cost has no default"),
         (("plain", "--measure", "t_cost", "--price", "60"), "there is no column 't_cost'"),
         (("plain", "elsewhere"), "no episode was played by all"),

@@ -73,9 +73,12 @@ def xs(axes: Axes, line: int) -> list[float]:
         ("found", "map"),
     ],
 )
-def test_each_kind_is_a_pdf_that_publishers_take(source: str, kind: str, here: Path) -> None:
+def test_each_kind_is_a_pdf_that_publishers_take(
+    source: str, kind: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Several publishers refuse Type 3 fonts, matplotlib's default."""
     chosen = ("--kind", kind) if kind not in ("curves", "intervals", "map") else ()
+    monkeypatch.setattr("sys.argv", ["flipperctl", "plot", source, *chosen])
     done = call("plot", source, *chosen, cwd=here)
     assert done.code == 0, done.err
     assert (done.out, done.err.splitlines()[-1]) == ("", f"wrote {kind}.pdf")
