@@ -212,7 +212,11 @@ class Gate:
                 return
 
     def _start(self, listener: socket.socket) -> viser.ViserServer:
-        """Return viser's server, whose ``websockets.serve`` was replaced by one with our checks."""
+        """Return viser's server, whose ``websockets.serve`` was replaced by one with our checks.
+
+        viser 1.1 takes no socket, no handler and no check of requests. A proxy before it would
+        leave viser's own port open to every user of this machine.
+        """
         import viser
         import websockets.asyncio.server as library
 

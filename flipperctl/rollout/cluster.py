@@ -153,7 +153,8 @@ def _check_reachable(address: str | None) -> None:
     if not port.isdigit():
         return
     socket.create_connection((host, int(port)), timeout=_PATIENCE).close()
-    if "://" not in str(address):  # ``ray.init`` would repeat a refused token for 20 s
+    # ray.init would repeat a refused token for 20 s; nothing public of Ray asks a cluster once.
+    if "://" not in str(address):
         from ray import _raylet
 
         client: Any = _raylet

@@ -174,7 +174,8 @@ class MujocoWorld:
         built = build(spec)
         self.model, self._tracks = built.model, Tracks(built, robot, sim)
         self.data = mujoco.MjData(self.model)
-        # What the compiled loop reads and writes
+        # What the compiled loop reads and writes. It calls C's mj_step with the structs' addresses,
+        # which MuJoCo gives as _address alone; its public mj_step costs a call of Python a substep.
         model, data = built.model, self.data
         self._scene = Scene(
             model=model._address,
