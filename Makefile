@@ -13,6 +13,7 @@ BIN := $(VENV)/bin
 DECISIONS ?= 30000
 
 # Compiled modules are kept, even where the shell says otherwise: the tests start hundreds of processes.
+# A module is compiled when it is first used; pip would compile all, 0.2 GB that nobody reads.
 export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: install setup train check test ros long static tests quick-tests docs clean
@@ -24,15 +25,15 @@ setup: $(VENV)/complete
 $(VENV)/ready: pyproject.toml requirements.txt
 	@echo "1 of 3: a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	@echo "2 of 3: the packages of requirements.txt, about 1.9 GB when installed"
-	$(BIN)/python -m pip install -r requirements.txt
+	@echo "2 of 3: the packages of requirements.txt, about 1.5 GB when installed"
+	$(BIN)/python -m pip install --no-compile -r requirements.txt
 	@echo "3 of 3: flipperctl itself"
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 
 $(VENV)/complete: $(VENV)/ready requirements-dev.txt
-	@echo "for developers: the packages of requirements-dev.txt, about 1.3 GB more"
-	$(BIN)/python -m pip install -r requirements-dev.txt
+	@echo "for developers: the packages of requirements-dev.txt, about 1.1 GB more"
+	$(BIN)/python -m pip install --no-compile -r requirements-dev.txt
 	touch $@
 
 train: install
