@@ -70,27 +70,14 @@ def test_a_baseline_is_compared_over_what_both_have(
     whole = json.loads(play(tmp_path, "terrain=flat", "--baseline", "okada", "--json").out)
     assert "interrupted" not in whole
     interrupt("flat, okada", 2, signal.SIGINT)
-    arguments = ["terrain=flat,step", "--baseline", "okada,patient", "--json"]
-    (tmp_path / "patient.py").write_text(PATIENT)
-    done = play(tmp_path, *arguments, "--plugins", "patient.py")
+    arguments = ["terrain=flat,step", "--baseline", "okada,random", "--json"]
+    done = play(tmp_path, *arguments)
     assert done.code == 130
     document = json.loads(done.out)
     assert (document["finished_episodes"], document["planned_episodes"]) == (6, 24)
     (scene,) = document["scenes"]
     assert scene["episodes"] == 4
-    assert "baselines" not in scene  # there is one: patient has not begun
+    assert "baselines" not in scene  # there is one: random has not begun
     assert (scene["baseline"]["controller"], scene["baseline"]["episodes"]) == ("okada", 2)
     assert scene["baseline"]["difference"]["t_cost"]["episodes"] == 2
     assert scene["t_cost"] == whole["scenes"][0]["t_cost"]
-
-
-PATIENT = '''
-from flipperctl.api import Controller, Perception, controller
-
-@controller("patient")
-class Patient(Controller):
-    """Holds still."""
-
-    def act(self, p: Perception) -> int:
-        return 4
-'''
