@@ -42,7 +42,7 @@ AT_ONCE = 2
 """Commands that run at the same time."""
 SHOWN = 20
 """Differences of each kind that are printed."""
-_MASKED = re.compile(r"(^|/)(seconds|versions|flipperctl\.package_version)(/|$)")
+_MASKED = re.compile(r"(^|/)(seconds|usage|timing\.json|versions|flipperctl\.package_version)(/|$)")
 """Entries that differ between equal runs, or between versions."""
 
 Entries = dict[str, Any]
@@ -59,7 +59,7 @@ def run(jobs: Mapping[str, str], folder: Path) -> Entries:
         )
         found = {f"{name}/exit code": done.returncode}
         if done.returncode:
-            return found | {f"{name}/error": done.stderr.replace(str(folder), "FOLDER")}
+            return found | {f"{name}/error": done.stderr}
         return found | (dict(flat(json.loads(done.stdout), name)) if "--json" in command else {})
 
     with ThreadPoolExecutor(AT_ONCE) as pool:
@@ -170,7 +170,7 @@ def measure(part: str) -> Entries:
                 found |= READ[file.suffix](file, str(file.relative_to(folder)))
     if failed := {key for key, value in found.items() if key.endswith("/exit code") and value}:
         print(f"{part}: failed: {sorted(failed)}", file=sys.stderr)
-    entries: Entries = json.loads(json.dumps(found))
+    entries: Entries = json.loads(json.dumps(found).replace(str(folder), "FOLDER"))
     return entries
 
 
