@@ -139,15 +139,14 @@ def explain(
 def _kind(word: str) -> str:
     """Return the kind that a word names, in the singular or the plural."""
     from flipperctl.cli.catalogue import KINDS, entries
-    from flipperctl.text.messages import close_match
+    from flipperctl.text.messages import unknown
 
     groups = {group: kind for kind, inner in KINDS.items() for group in inner}
     if kind := word if word in KINDS else groups.get(word):
         return kind
     if any(e.name == word for g in groups if g != "run" for e in entries(g)):
         raise RequestError(f"{word} is no kind but a name: flipperctl explain {word}")
-    hint = close_match(word, KINDS)
-    raise RequestError(f"there is no kind {word!r}{hint}; known: {', '.join(KINDS)}")
+    raise RequestError(unknown("there is no kind", word, KINDS))
 
 
 def _kinds() -> list[dict[str, Any]]:

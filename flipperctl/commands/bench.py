@@ -77,16 +77,14 @@ def bench(
 
 def split_arguments(words: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the measures, in the order of those ``known``, and the overrides."""
-    from flipperctl.text.messages import close_match
+    from flipperctl.text.messages import unknown
 
     overrides = [word for word in words if "=" in word or word.startswith("~")]
     names = [word for word in words if word not in overrides]
     allowed = ("all", *known)
     for name in names:
         if name not in allowed:
-            raise RequestError(
-                f"there is no measure {name!r}{close_match(name, allowed)}; "
-                f"known: {', '.join(allowed)}; an override is key=value"
-            )
+            text = unknown("there is no measure", name, allowed)
+            raise RequestError(f"{text}; an override is key=value")
     every = not names or "all" in names
     return [name for name in known if every or name in names], overrides

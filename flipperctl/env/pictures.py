@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import distributions
 from typing import Any
 
 import numpy as np
@@ -30,6 +29,7 @@ from flipperctl.api import (
 )
 from flipperctl.env.drive import Drive
 from flipperctl.errors import ConfigError
+from flipperctl.plugging import plugins
 
 WIDTH, HEIGHT = 960, 480
 """Width and height of a picture [px]."""
@@ -103,10 +103,7 @@ Renderer = Callable[[Scene], Picture]
 
 def installed() -> Renderer:
     """Return a new renderer of scenes from the side; ``ConfigError`` if none is installed."""
-    # In all copies of the metadata: a stale one in the working directory would hide the other.
-    copies = [points for d in distributions(name="flipperctl") for points in d.entry_points]
-    renderers = [point for point in copies if point.group == GROUP]
-    if not renderers:
+    if not (renderers := plugins.installed(GROUP)):
         raise ConfigError(
             f"render_mode: no entry point 'side' in the group {GROUP!r}; "
             "reinstall flipperctl (pip install -e .)"

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 
 from flipperctl.errors import RequestError
-from flipperctl.text.messages import close_match
+from flipperctl.text.messages import unknown
 
 _FILES = re.compile(r"/checkpoints/(best|last)\.safetensors$")
 _JOB = re.compile(r"^\d+_(?=[^/]*=)")
@@ -69,10 +69,8 @@ def chosen_names(words: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
             or PurePath(_FILES.sub("", label)).parts[-len(wanted) :] == wanted
         ]
         if not fits:
-            raise RequestError(
-                f"--name {word}: there is no method {method!r}"
-                f"{close_match(method, short.values())}; known: {', '.join(short.values())}"
-            )
+            text = unknown(f"--name {word}: there is no method", method, short.values())
+            raise RequestError(text)
         if len(fits) > 1 and method not in fits:
             raise RequestError(f"--name {word}: {method} fits several: {', '.join(fits)}")
         by_label[method if method in fits else fits[0]] = name.strip()
@@ -100,9 +98,5 @@ def taken(label: str, called: Mapping[str, str], option: str, further: Sequence[
     """
     by_name = {name: candidate for candidate, name in called.items()}
     if label not in called and label not in by_name:
-        known = [*by_name, *further]
-        raise RequestError(
-            f"{option}: there is no method {label!r}{close_match(label, known)}; "
-            f"known: {', '.join(known)}"
-        )
+        raise RequestError(unknown(f"{option}: there is no method", label, [*by_name, *further]))
     return label if label in called else by_name[label]

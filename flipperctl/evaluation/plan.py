@@ -27,7 +27,7 @@ from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.policies.identity import method_settings, without_input_paths
 from flipperctl.policies.source import ExportedPolicy, PolicySource, load_policy
-from flipperctl.text.messages import broken_hint, close_match
+from flipperctl.text.messages import broken_hint, close_match, unknown
 
 BEST_KNOWN = "best known"
 """How a row of the best stored policy is called, before its label in brackets."""
@@ -264,10 +264,8 @@ def policies(
     known = {name for s in sources.values() for name in s.settings or {} if name != "name"}
     for field in fields:
         if field not in known:
-            raise ConfigError(
-                f"controller.{field}: no controller among the policies has such a field"
-                f"{close_match(field, sorted(known))}; known: {', '.join(sorted(known)) or 'none'}"
-            )
+            what = f"controller.{field}: no controller among the policies has a field"
+            raise ConfigError(unknown(what, field, sorted(known)))
     return sources
 
 

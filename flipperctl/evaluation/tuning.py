@@ -41,7 +41,7 @@ from flipperctl.evaluation.statistics import Interval
 from flipperctl.plugging.guard import refusal, short_repr
 from flipperctl.rollout.episode import training_seed
 from flipperctl.text.files import write_json
-from flipperctl.text.messages import close_match
+from flipperctl.text.messages import unknown
 
 BUDGET, EPISODES = 5000, 20
 """Defaults: episodes of a search; of a candidate in a generation, on all scenes together."""
@@ -109,10 +109,8 @@ def settings_of(controller: Controller, names: Sequence[str] | None = None) -> l
         )
     for name in names or ():
         if name not in settings:
-            raise RequestError(
-                f"--settings: {controller.plugin_name} has no number {name!r} between two bounds"
-                f"{close_match(name, settings)}; known: {', '.join(settings)}"
-            )
+            what = f"--settings: {controller.plugin_name} has no number between two bounds called"
+            raise RequestError(unknown(what, name, settings))
     return [settings[name] for name in dict.fromkeys(names or settings)]
 
 

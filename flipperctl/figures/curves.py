@@ -32,7 +32,7 @@ from flipperctl.figures.figure import (
 )
 from flipperctl.figures.figure import style_axes as style
 from flipperctl.text.files import CsvRow
-from flipperctl.text.messages import close_match
+from flipperctl.text.messages import unknown
 
 METRICS = (SUCCESS, VARIATION, "return")
 """Panels of a figure for which none are named."""
@@ -110,10 +110,7 @@ def curves_figure(
     known = known_metrics(runs)
     for metric in metrics:
         if metric not in known:
-            raise RequestError(
-                f"metric {metric!r}: no run has such a column{close_match(metric, known)}; "
-                f"known: {', '.join(known)}"
-            )
+            raise RequestError(unknown("metric: no run has a column", metric, known))
     # A panel for each metric: the curves of all methods, or all of a single run
     figure, axes = panels(width, len(metrics), points(1.25))
     alone = len(runs) == 1 and len(next(iter(runs.values()))) == 1

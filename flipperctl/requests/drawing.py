@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from flipperctl.errors import RequestError
-from flipperctl.text.messages import close_match
+from flipperctl.text.messages import unknown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -102,10 +102,7 @@ def draw(
 
 def _known(option: str, value: str, known: Sequence[str]) -> None:
     if value not in known:
-        raise RequestError(
-            f"{option}: {value!r} is not known{close_match(value, known)}; "
-            f"known: {', '.join(known)}"
-        )
+        raise RequestError(unknown(f"{option}: there is no", value, known))
 
 
 def length(text: str) -> float:

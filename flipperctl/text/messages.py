@@ -37,6 +37,15 @@ def close_match(word: str, known: Iterable[str]) -> str:
     return suggestion(*filter(None, [closest(word, known)]))
 
 
+def unknown(what: str, name: str, known: Iterable[str]) -> str:
+    """Return the error for a name that is not known, with its close match and all known ones.
+
+    ``what``: where it stands, and the noun, as in ``--metric: there is no column``.
+    """
+    names = list(known)
+    return f"{what} {name!r}{close_match(name, names)}; known: {', '.join(names) or 'none'}"
+
+
 def suggestion(*meant: str, quoted: bool = True) -> str:
     """Return `` (did you mean 'x' or 'y'?)``, which follows what was typed; empty for none."""
     alternatives = " or ".join(repr(word) if quoted else word for word in meant)

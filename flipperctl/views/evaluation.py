@@ -24,7 +24,7 @@ from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.rows import Episodes, Row
-from flipperctl.text.messages import broken_hint, close_match, counted
+from flipperctl.text.messages import broken_hint, close_match, counted, unknown
 from flipperctl.text.show import Column, Table, console, print_lines, print_table, print_text
 from flipperctl.views import engines, summary
 from flipperctl.views.published import published
@@ -129,10 +129,7 @@ def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -
             if name in known:
                 break
         else:
-            raise RequestError(
-                f"{option}: no scene draws {name!r}{close_match(name, known)}; "
-                f"known: {', '.join(known)}"
-            )
+            raise RequestError(unknown(f"{option}: no scene draws", name, known))
     return groups
 
 

@@ -31,7 +31,7 @@ from flipperctl.figures.figure import SUCCESS, VARIATION
 from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import read as read_traces
-from flipperctl.text.messages import close_match
+from flipperctl.text.messages import unknown
 from flipperctl.views import compare
 from flipperctl.views.summary import named
 
@@ -238,10 +238,7 @@ def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
     """Return what is wanted, by default the first that is known."""
     wanted = known[0] if wanted is None and known else str(wanted)
     if wanted not in known:
-        raise RequestError(
-            f"{option} {wanted}: it was not traced{close_match(wanted, known)}; known: "
-            f"{', '.join(dict.fromkeys(known))}"
-        )
+        raise RequestError(unknown(f"{option}: there is no trace of", wanted, dict.fromkeys(known)))
     return wanted
 
 

@@ -157,8 +157,8 @@ def test_policies_on_one_episode(here: Path) -> None:
         "0.0 s", "2.0 s", "4.0 s", "6.0 s", "8.0 s", "10.0 s",
     ]  # fmt: skip
     for words, text in (
-        (["--scene", "stair"], "--scene stair: it was not traced; known: step"),
-        (["--episode", "7"], "--episode 7: it was not traced; known: 0"),
+        (["--scene", "stair"], "--scene: there is no trace of 'stair'; known: step"),
+        (["--episode", "7"], "--episode: there is no trace of '7'; known: 0"),
         (["--only", "lev"], "did you mean 'level'?"),
     ):
         assert text in refused("plot", "judged", "--kind", "poses", *words, cwd=here)
