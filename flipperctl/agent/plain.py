@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,8 +54,7 @@ def best(values: Sequence[float]) -> int:
     return values.index(max(values))
 
 
-@dataclass(frozen=True)
-class Call:
+class Call(NamedTuple):
     """One operation; places count the network's input, then its constants, weights and results."""
 
     function: Callable[..., Any]
@@ -92,9 +91,8 @@ class PlainNetwork:
         """Return the outputs (A,) of an input row, (frames · n,)."""
         memory, result = self._memory, 0
         memory[0] = row[np.newaxis]
-        for call in self.calls:
-            result = call.result
-            memory[result] = call.function(*[memory[place] for place in call.arguments])
+        for function, arguments, result in self.calls:
+            memory[result] = function(*[memory[place] for place in arguments])
         values: list[float] = memory[result][0].tolist()
         if not math.isfinite(sum(values)):
             raise NonFiniteError(self.fault)
@@ -134,13 +132,16 @@ class PlainNetworks:
 # What layers and functions of torch compute on arrays (B, …), with their arguments' names.
 def linear(x: NDArray[Any], weight: NDArray[Any], bias: NDArray[Any] | None = None) -> Any:
     """Return x Wᵀ + b."""
-    product = x @ weight.T
-    return product if bias is None else np.add(product, bias, out=product)
+    product: NDArray[Any] = x.dot(weight.T)
+    if bias is not None:
+        product += bias
+    return product
 
 
 def leaky_relu(x: NDArray[Any], negative_slope: float = 0.01) -> Any:
     """Return x, or its multiple by the slope where it is negative; the slope is at most 1."""
-    return np.maximum(x, negative_slope * x)
+    below = x * negative_slope
+    return np.maximum(x, below, out=below)
 
 
 def relu(x: NDArray[Any]) -> Any:
@@ -165,7 +166,8 @@ def cat(parts: Sequence[NDArray[Any]], dim: int = 0) -> Any:
 
 def mean(x: NDArray[Any], dim: int, keepdim: bool = False) -> Any:
     """Return the mean along an axis."""
-    return x.sum(axis=dim, keepdims=keepdim) / x.shape[dim]
+    total: Any = np.add.reduce
+    return total(x, axis=dim, keepdims=keepdim) / x.shape[dim]
 
 
 def reshape(x: NDArray[Any], *shape: int) -> Any:

@@ -71,4 +71,6 @@ def _privileged_state(env: FlipperEnv, states: Sequence[RobotState]) -> NDArray[
         robot.flipper_length,
         0.0 if friction is None else friction / _FRICTION,
     )
-    return np.array([*(ground / _HEIGHT), *numbers], np.float32)
+    row = np.empty(SIZE, np.float32)
+    row[: len(ground)], row[len(ground) :] = ground / _HEIGHT, numbers
+    return row
