@@ -26,7 +26,12 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.networks import difference_loss, difference_targets, seeded
+from flipperctl.agent.networks import (
+    denormals_flushed,
+    difference_loss,
+    difference_targets,
+    seeded,
+)
 from flipperctl.agent.replay import Batch, GroupBatch, Replay
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig
@@ -155,7 +160,8 @@ class DoubleQ(NetworkPair):
         rate and the weight of the labels. ``groups``: valued states for each step. ``uniform``: as
         many transitions of true frequencies for risk and curiosity; None: those of ``batch``.
         """
-        with seeded(self.device, self._seed, self.optimiser.steps):  # equal in a resumed run
+        # Generators are seeded by the number of steps, so that a resumed run draws the same.
+        with seeded(self.device, self._seed, self.optimiser.steps), denormals_flushed():
             return self._update(batch, fraction, groups, batch if uniform is None else uniform)
 
     def _update(
