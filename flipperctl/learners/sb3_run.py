@@ -323,8 +323,8 @@ class Sb3Learning(Learning):
                 named = {n: torch.as_tensor(m) for n, m in moments.items()}
                 tensors |= {f"{part}/{at}/{name}": tensor for name, tensor in named.items()}
         # Tensors outside of networks, such as the logarithm of SAC's entropy coefficient.
-        _, variables = self.model._get_torch_save_params()
-        tensors |= {f"variable/{name}": getattr(self.model, name).detach() for name in variables}
+        attributes = vars(self.model).items()
+        tensors |= {f"variable/{n}": t for n, t in attributes if isinstance(t, torch.Tensor)}
         return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
     def _replay(self) -> dict[str, torch.Tensor] | None:
