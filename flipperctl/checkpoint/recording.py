@@ -137,16 +137,19 @@ class Recording:
 def write(
     path: Path,
     driver: str,
-    parts: Sequence[tuple[EnvConfig, Sequence[RecordedEpisode]]],
+    parts: Sequence[tuple[EnvConfig | PartialEnvironment, Sequence[RecordedEpisode]]],
     command_period: float | None = None,
 ) -> None:
-    """Write episodes with their environments, completely or not at all."""
+    """Write episodes with their environments, completely or not at all.
+
+    A ``PartialEnvironment`` is one that no simulation had.
+    """
     require_one_layout(path, [config for config, _ in parts])
     # The document lists the episodes, and refers to each environment by its index.
     placed = [(at, episode) for at, (_, episodes) in enumerate(parts) for episode in episodes]
     versions = {"flipperctl": __version__}
     for config, _ in parts:
-        versions |= engine_versions(config.sim)
+        versions |= engine_versions(config.sim) if isinstance(config, EnvConfig) else {}
     document = RecordingDocument(
         format=FORMAT,
         kind=EPISODES,
@@ -154,7 +157,10 @@ def write(
         versions=versions,
         command_period=command_period,
         environments=tuple(
-            PartialEnvironment.model_validate(to_dict(config.environment())) for config, _ in parts
+            PartialEnvironment.model_validate(to_dict(config.environment()))
+            if isinstance(config, EnvConfig)
+            else config
+            for config, _ in parts
         ),
         episodes=tuple(
             EpisodeEntry(
@@ -176,7 +182,7 @@ def write(
     write_bytes(path, sealed.serialize(text, tensors))
 
 
-def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
+def require_one_layout(path: Path, configs: Sequence[EnvConfig | PartialEnvironment]) -> None:
     """Check that episodes in these environments fit into one file."""
     layouts = {config.perception.layout.words for config in configs}
     if len(layouts) > 1:

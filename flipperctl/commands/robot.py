@@ -24,6 +24,14 @@ class Convention(StrEnum):
     flipperctl = "flipperctl"
 
 
+class Ended(StrEnum):
+    """How a drive ended, as an operator says."""
+
+    reached = "reached"
+    overturned = "overturned"
+    stuck = "stuck"
+
+
 CloudTopic = Annotated[
     str | None,
     typer.Option("--topic", metavar="NAME", help="Topic of the PointCloud2, if several."),
@@ -92,11 +100,11 @@ def recorded_robot(overrides: Sequence[str] | None, usual: Devices | None = None
     from flipperctl.requests.compose import compose_environment
     from flipperctl.requests.request import Request, Requests
     from flipperctl.requests.text import from_words
-    from flipperctl.runtime.devices import SECTION, Devices
+    from flipperctl.runtime.devices import Devices
 
     typed = from_words(list(overrides or ()))
     # What the devices say of the LiDAR, in a file of their own or the robot's, counts here too.
-    devices, rest = typed.devices() or usual, typed.where(lambda key: key != SECTION)
+    devices, rest = typed.devices() or usual, typed.without_devices
     words = dict(rest.typed)
     ours = devices.perception() if devices is not None else {}
     settings = [Request(f"perception.{n}", v) for n, v in ours.items()]
@@ -188,7 +196,7 @@ def shadow(
     and reason, and the angles that were measured.
 
     OVERRIDES are the robot's devices, as in devices=mine.yaml, or its widths and errors, as in
-    perception.overall_width=0.6.
+    perception.overall_width=0.6. Without devices, those in POLICY count.
 
     [bold]Examples[/]
 
@@ -196,11 +204,14 @@ def shadow(
 
       flipperctl robot shadow stair.onnx run.mcap perception.pose=matched
     """
-    from flipperctl.ros.recording import check_used, shadow
+    from flipperctl.ros.recording import LOG, check_used, shadow
     from flipperctl.ros.topics import Names
+    from flipperctl.runtime.policy import OnnxPolicy
     from flipperctl.terminal.tables import print_shadow
+    from flipperctl.text.files import check_output
 
-    config, pose, keys, devices = recorded_robot(overrides)
+    check_output(output, LOG)
+    config, pose, keys, devices = recorded_robot(overrides, OnnxPolicy(policy).interface.devices)
     check_used(keys)
     joints = {"front": front or None, "rear": rear or None, "signs": signs and signs.value}
     names = Names.of(devices, clouds=topic, imu=imu, belts=belts, base=base_frame, **joints)
@@ -245,26 +256,67 @@ def ground(
     from flipperctl.requests.text import from_words
     from flipperctl.ros.ground import convert
     from flipperctl.ros.topics import Names
-    from flipperctl.runtime.devices import SECTION, Devices
+    from flipperctl.runtime.devices import Devices
     from flipperctl.terminal.tables import print_ground
 
     typed = from_words(overrides or ())
-    fields = typed.where(lambda key: key != SECTION).values()
-    robot = Robot(**robot_fields(fields, "robot ground"))
+    robot = Robot(**robot_fields(typed.without_devices.values(), "robot ground"))
     devices = typed.devices() or Devices()
     names = Names.of(devices, clouds=topic, fixed=fixed_frame, base=base_frame)
     document = convert(source, output, robot, names, reach, cell)
     show(document, lambda: print_ground(document), as_json=as_json)
 
 
+def drive(
+    bag: Annotated[Path, typer.Argument(help="A bag of ROS 1 or 2 in which an operator drove.")],
+    outcome: Annotated[
+        Ended, typer.Option(metavar="OUTCOME", help="How it ended: reached, overturned or stuck.")
+    ],
+    overrides: options.Overrides = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the drives; drives/NAME.")
+    ] = None,
+    person: Annotated[str, typer.Option("--as", metavar="NAME", help="Who drove.")] = "me",
+    as_json: options.AsJson = False,
+) -> None:
+    """Make the record of an operator's drive on a real robot, from which a policy learns.
+
+    BAG has clouds, an Imu, the flippers' joints and the speed of the belts, and /diagnostics of our
+    node if only the operator's part shall count. The file has what the robot's map showed at each
+    decision, and the action that came closest to how the flippers turned. The table has what can be
+    measured without knowing the ground. A field drive has no rewards, and no simulation can play
+    it; flipperctl robot ground makes terrain of the same bag, to try policies on.
+
+    OVERRIDES are the robot, its devices and the estimator, as in robot=mine.yaml.
+
+    [bold]Examples[/]
+
+      flipperctl robot drive recorded_bag --outcome reached --as anna
+
+      flipperctl robot drive run.mcap robot=mine.yaml --outcome stuck --json
+    """
+    from flipperctl.api import Outcome
+    from flipperctl.ros.field import field_drive
+    from flipperctl.ros.topics import Names
+    from flipperctl.terminal.tables import print_field_drive
+
+    config, _, _, devices = recorded_robot(overrides)
+    folder = output or Path("drives") / person
+    driver = f"person: {person}"
+    document = field_drive(bag, config, Names.of(devices), folder, driver, Outcome(outcome.value))
+    show(document, lambda: print_field_drive(document), as_json=as_json)
+
+
 def self_test(
     messages: Annotated[str, typer.Argument(help="Lines of JSON, or - for a pipe.")],
+    overrides: options.Overrides = None,
     signs: Annotated[
-        Convention, typer.Option(metavar="NAME", help="Signs of the messages.")
-    ] = Convention.flipperctl,
-    devices: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="The robot's devices, in place of --signs."),
+        Convention | None,
+        typer.Option(
+            metavar="NAME",
+            help="Signs of the messages; flipperctl if not given.",
+            show_default=False,
+        ),
     ] = None,
     as_json: options.AsJson = False,
 ) -> int:
@@ -273,6 +325,9 @@ def self_test(
     MESSAGES is a file of JSON lines with what the robot's devices measure, or - for a pipe. Each
     sign that is wrong is named with what to set. Exit code 0: every motion was measured with the
     right sign.
+
+    OVERRIDES are the robot's devices, as in devices=mine.yaml, in place of --signs. The messages
+    then have the numbers of the robot's topics.
 
     The robot's own computer needs only numpy and onnxruntime for the same test: python -m
     flipperctl.runtime --self-test MESSAGES.
@@ -285,13 +340,22 @@ def self_test(
     """
     from dataclasses import asdict
 
+    from flipperctl.errors import RequestError
+    from flipperctl.requests.text import from_words
     from flipperctl.runtime.recordings import opened, setup_by
     from flipperctl.runtime.recordings import self_test as tested
 
+    typed = from_words(overrides or ())
+    devices, other = typed.devices(), [r.text for r in typed if r.key not in ("devices", "robot")]
+    both = devices is not None and signs is not None
+    if other or both or (overrides and devices is None):
+        word = f"--signs {signs}" if both else (other or overrides or [""])[0]
+        raise RequestError(f"{word}: a file with devices, or --signs, is allowed")
     # The runtime's own test, with its verdicts as a document
-    setup = setup_by(devices, signs.value)
-    test = tested(*opened(messages), setup)  # it prints what to do meanwhile
-    document = {"passed": test.passed, "verdicts": [asdict(verdict) for verdict in test.verdicts]}
+    setup = setup_by(devices, (signs or Convention.flipperctl).value)
+    test = tested(*opened(messages), setup, devices)  # it prints what to do meanwhile
+    verdicts = [asdict(verdict) for verdict in test.verdicts]
+    document = {"passed": test.passed, "verdicts": verdicts, "refused": test.refused}
     show(document, lambda: None, as_json=as_json)
     return 0 if test.passed else 1
 
@@ -318,6 +382,10 @@ def simulate(
     loss: Annotated[
         float, typer.Option(metavar="P", min=0, max=0.9, help="Share of lost messages.")
     ] = 0.0,
+    clock_step: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="AT S", help="The clock steps by S seconds at AT s of an episode."),
+    ] = None,
     as_json: options.AsJson = False,
 ) -> None:
     """Put a simulated robot on topics of ROS 2, to try a node before the robot.
@@ -343,7 +411,7 @@ def simulate(
     from flipperctl.terminal.streams import print_note
     from flipperctl.terminal.tables import print_simulated
 
-    link = Link(rate, lockstep, sim_time, delay, jitter, loss)
+    link = Link(rate, lockstep, sim_time, delay, jitter, loss, clock_step)
     words = with_flags(list(overrides or ()), seed=seed)
     config, *_, devices = recorded_robot(words, Devices())
     rows = []

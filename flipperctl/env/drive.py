@@ -38,6 +38,20 @@ _DRIVEN = 0.9
 """Mean share of the belts' speed from which a decision counts as driven ahead [-]."""
 
 
+Pair = tuple[float, float]
+
+
+def closest_action(before: Pair, after: Pair, step: float, limit: float) -> tuple[int, Pair]:
+    """Return the action closest to a turn of both pairs, and where it leads from ``before`` [rad].
+
+    ``step``: turn of an action, ``limit``: largest target [rad]. The rest of the way stays for the
+    next decision.
+    """
+    moves = [min(1, max(-1, round((a - b) / step))) for b, a in zip(before, after, strict=True)]
+    ends = [min(limit, max(-limit, b + m * step)) for b, m in zip(before, moves, strict=True)]
+    return action_index(*moves), (ends[0], ends[1])
+
+
 class Commanding:
     """The commands of an operator within the decisions of one episode."""
 
@@ -85,15 +99,10 @@ class Commanding:
         Turns that an action could not express go to the next one, so that the sum of the actions
         follows the targets.
         """
-        moves, followed = [], []
-        # The nearest turn of each pair; the rest of the way stays for the next decision.
-        for target, before in zip(targets, self._followed or targets, strict=True):
-            turn = min(1, max(-1, round((target - before) / self._step)))
-            moves.append(turn)
-            followed.append(min(self._limit, max(-self._limit, before + turn * self._step)))
-        self._followed = followed[0], followed[1]
+        before = self._followed or targets
+        action, self._followed = closest_action(before, targets, self._step, self._limit)
         commands, self.commands = np.array(self.commands, np.float64), []
-        return action_index(*moves), commands
+        return action, commands
 
 
 class Drive:

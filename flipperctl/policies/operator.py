@@ -169,7 +169,11 @@ def _drives(files: list[Path]) -> Iterator[_Drive]:
         drives = recording.read(file)
         period = drives.document.command_period
         if period is None:
-            raise ConfigError(f"{file}: it holds no commands; flipperctl drive records them")
+            raise ConfigError(
+                f"{file}: it holds no commands that can be played: of a field drive nobody knows "
+                "the ground. Learn from it by teacher.episodes, and try policies on the ground of "
+                "its bag (flipperctl robot ground)"
+            )
         for entry, episode in zip(drives.document.episodes, drives.episodes, strict=True):
             yield _Drive(file, episode, drives.document.environments[entry.environment], period)
 

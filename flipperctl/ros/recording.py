@@ -47,7 +47,7 @@ from flipperctl.runtime.messages import (
 )
 from flipperctl.runtime.point_cloud import PointTimes
 from flipperctl.runtime.recordings import Shadow
-from flipperctl.text.files import OutputKind, check_output, write_bytes
+from flipperctl.text.files import OutputKind, write_bytes
 
 Message = Cloud | Attitude | JointAngles | Odometry
 
@@ -280,7 +280,6 @@ def shadow(
     ``matched``; None: ``belts``.
     """
     lidar = lidar_of(sensor)
-    check_output(log, LOG)
     # What a robot could not do is refused before the bag is read.
     if pose == "true":
         raise RequestError("perception.pose=true: no robot knows this; belts or matched is allowed")

@@ -149,6 +149,27 @@ def print_shadow(shadow: dict[str, Any]) -> None:
     _print_recording("shadow mode", who, shadow, rows, f"log: {shadow['output']}")
 
 
+def print_field_drive(document: dict[str, Any]) -> None:
+    """Print what was measured of each drive of a bag, and where the record is."""
+    rows: dict[str, str] = {}
+    for number, drive in enumerate(document["drives"]):
+        rows[f"drive {number}"] = (
+            f"{drive['outcome']}, {drive['decisions']} decisions in {drive['t_cost']:.1f} s from "
+            f"{drive['start']:.1f} s on"
+        )
+        rows[f"{number}: pitch variation, largest pitch"] = (
+            f"{drive['pitch_variation']:.2f} rad, {drive['max_pitch']:.2f} rad"
+        )
+        rows[f"{number}: travel of the flippers"] = f"{drive['flipper_travel']:.2f} rad"
+        rows[f"{number}: way of the belts, share they stood"] = (
+            f"{drive['way_of_belts']:.2f} m, {drive['belts_stood']:.0%}"
+        )
+        rows[f"{number}: ground seen"] = f"{drive['seen']:.0%}"
+    who = f"{document['driver']} in {document['source']}"
+    last = f"record: {document['output']}; it has neither rewards nor the true ground"
+    _print_recording("field drive", who, document, rows, last)
+
+
 def _print_recording(
     title: str, who: str, recording: dict[str, Any], rows: Mapping[str, str], last: str | None
 ) -> None:

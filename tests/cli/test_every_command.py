@@ -39,7 +39,9 @@ def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> N
     needed |= {"new": ["terrain", "x"], "eval": ["--controller", "level"]}
     needed |= {"checkpoint": ["x"], "run": ["x"], "check": ["x"], "self-test": ["x"]}
     needed |= {"shadow": ["x.onnx", "x"], "ground": ["x", "--output", "x.xyz"]}
-    arguments = [*command, *needed.get(command[-1], []), "--plugins", "nowhere.py"]
+    needed |= {"robot drive": ["x", "--outcome", "reached"]}
+    arguments = needed.get(" ".join(command), needed.get(command[-1], []))
+    arguments = [*command, *arguments, "--plugins", "nowhere.py"]
     done = call(*arguments, cwd=tmp_path)
     assert done.code == 2
     assert "nowhere.py does not exist" in done.err
