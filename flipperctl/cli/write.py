@@ -132,7 +132,7 @@ def new(
 
     if kind == "robot":
         file = write_robot(name, output)
-        print(f"wrote {file}; next:\n  flipperctl eval okada robot={file} devices={file}")
+        print(f"wrote {file}; next:\n  flipperctl eval okada robot={file}")
         return
     draft = Draft(kind, name)
     written = draft.write_package(output) if package else draft.write_file(output)

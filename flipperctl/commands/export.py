@@ -111,7 +111,6 @@ def _export_policy(
     from flipperctl.export.policy import FILE, export, robot_fields
     from flipperctl.policies.source import load_policy
     from flipperctl.requests.text import from_words
-    from flipperctl.runtime.devices import SECTION
     from flipperctl.terminal.tables import print_export
     from flipperctl.text.files import check_output
 
@@ -123,7 +122,7 @@ def _export_policy(
     target = output or Path(f"{name}.onnx")
     check_output(target, FILE)
     typed = from_words(words)
-    robot = robot_fields(typed.where(lambda key: key != SECTION).values())
+    robot = robot_fields(typed.without_devices.values())
     print_note(f"exporting {saved.path} and comparing it with torch …")
     exported = export(saved, target, robot, typed.devices())
     show(exported, lambda: print_export(target, saved.path, exported), as_json=as_json)

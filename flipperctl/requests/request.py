@@ -96,6 +96,8 @@ class Requests:
     """Requests in their order, each key once."""
 
     items: tuple[Request, ...] = ()
+    body_alone: bool = False
+    """Whether the devices in a robot's file are left out."""
 
     @classmethod
     def of(cls, *parts: Iterable[Request]) -> Requests:
@@ -124,14 +126,21 @@ class Requests:
         A reward term that no preset has is added. The settings in the file of a robot or of a
         controller replace its name; what another request sets is left to that request.
         """
-        paths = {request.path for request in self}
-        sensor = registry.get(("perception", self.choice("perception") or ""))
-        if SECTION in paths and sensor is not None and "mount_axis" not in sensor.model_fields:
+        paths, choice = {request.path for request in self}, self.choice("perception")
+        sensor = registry.get(("perception", choice or ""))
+        takes = sensor is not None and "mount_axis" in sensor.model_fields
+        if SECTION in paths and sensor is not None and not takes:
             raise ConfigError(
                 f"{SECTION}=FILE has the place and the widths of a LiDAR; perception=lidar is "
                 f"allowed beside it, not {self.choice('perception')}"
             )
-        return tuple(part for request in self for part in _expand(request, paths))
+        parts = list(self)
+        # The devices in a robot's file, unless another sensor is chosen
+        takes = takes or (choice is None and "conditions" not in paths)
+        robot = self.choice("robot")
+        if not self.body_alone and SECTION not in paths and takes and has_devices(robot):
+            parts.append(Request(SECTION, robot))
+        return tuple(part for request in parts for part in _expand(request, paths))
 
     @property
     def words(self) -> list[str]:
@@ -158,7 +167,12 @@ class Requests:
             if name == SECTION and isinstance(value, str):
                 return read_devices(Path(value))
         robot = self.choice("robot")
-        return robot_devices(Path(robot)) if robot and is_robot_file(robot) else None
+        return robot_devices(Path(robot)) if robot is not None and has_devices(robot) else None
+
+    @property
+    def without_devices(self) -> Requests:
+        """The requests without devices, those in a robot's file included."""
+        return replace(self.where(lambda key: key != SECTION), body_alone=True)
 
     def where(self, accepts: Callable[[str], bool]) -> Requests:
         """Return the requests whose key a function accepts."""
@@ -247,6 +261,12 @@ def _keys(key: str, value: object) -> Iterator[str]:
     yield key
     for name, inner in value.items() if isinstance(value, Mapping) else ():
         yield from _keys(f"{key}.{name}", inner)
+
+
+def has_devices(robot: str | None) -> bool:
+    """Return whether a robot is named by a file that has devices."""
+    file = Path(robot) if robot is not None and is_robot_file(robot) else None
+    return file is not None and file.is_file() and robot_devices(file) is not None
 
 
 def _terms() -> frozenset[str]:

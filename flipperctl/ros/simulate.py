@@ -18,7 +18,7 @@ import math
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -45,6 +45,8 @@ _DISCOVERY = 10.0
 """Longest time in which another node is expected to listen [s]."""
 _ANSWER = 20.0
 """Longest time in which a node in lockstep is expected to answer a sample [s]."""
+_TOGETHER = 0.01
+"""Difference of the joints of a pair up to which they turn together [rad]."""
 _PERIOD = 0.02
 """Time between two commands to the motors [s]."""
 _SAMPLE = 0.01
@@ -66,12 +68,14 @@ class Link:
     """Largest further delay of a message, uniform [s]."""
     loss: float = 0.0
     """Share of the messages of the devices that never come [-]."""
+    clock_step: tuple[float, float] | None = None
+    """Time of an episode at which the robot's clock steps, and by how much [s]."""
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
-        late = self.delay or self.jitter or self.loss
-        if self.lockstep and (late or self.rate != 1.0):
-            raise RequestError("--lockstep has no rate, delay, jitter or loss")
+        fault = self.delay or self.jitter or self.loss or self.clock_step
+        if self.lockstep and (fault or self.rate != 1.0):
+            raise RequestError("--lockstep has no rate, delay, jitter, loss or step of the clock")
 
     @property
     def simulated_clock(self) -> bool:
@@ -99,7 +103,16 @@ class TopicRobot(Observer):
     every = 1
     risk_sign = None
 
-    def __init__(self, wire: Wire, devices: Devices, config: EvalConfig, link: Link) -> None:
+    def __init__(
+        self,
+        wire: Wire,
+        devices: Devices,
+        config: EvalConfig,
+        link: Link,
+        tell: Callable[[str], object] = lambda text: None,
+    ) -> None:
+        """``tell`` receives what is odd in the commands, once each kind."""
+        self._tell, self._told = tell, set[str]()
         self._wire, self.devices, self._config, self._link = wire, devices, config, link
         self.command_period = _SAMPLE if link.lockstep else _PERIOD
         self._make = Messages(devices=devices, origin=_EPOCH, double=link.lockstep)
@@ -107,9 +120,10 @@ class TopicRobot(Observer):
         self._watch, self._heard = CommandWatch(), threading.Condition()
         self._ready: float | None = None
         self._answered = -math.inf  # stamp of the newest command [s]
-        self._late: list[tuple[float, int, str, Any]] = []  # what is still on its way
+        self._late: list[tuple[float, int, str, Any]] = []  # when it comes, and what [s]
         self.numbers, self._count = Numbers(), 0
         self._base = self._now = _EPOCH  # the clock at the episode's begin, and now [s]
+        self._when = 0.0  # time of the episode [s]
         self._zero: float | None = None  # real time of the episode's begin [s]
         self._cloud: tuple[float | None, float] = (None, 0.0)  # sent, and its stamp
         self._speed, self._ticked = 0.0, -math.inf
@@ -158,6 +172,7 @@ class TopicRobot(Observer):
                 for name in names
             ]
             pairs.append(sign * joints.scale * sum(angles) / len(angles))
+            self._remark(message.name, names, [joints.scale * angle for angle in angles])
         speed = speeds.get("belts", 0.0)
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         with self._heard:
@@ -173,6 +188,18 @@ class TopicRobot(Observer):
                 self.numbers.answers.append(time.monotonic() - sent)
                 self._cloud = None, 0.0
             self._heard.notify_all()
+
+    def _remark(self, there: Sequence[str], names: Sequence[str], angles: Sequence[float]) -> None:
+        """Tell of commands by which the joints of a pair do not turn together."""
+        pair, command = ", ".join(names), self.devices.topics.joint_command
+        text = ""
+        if any(map(math.isnan, angles)) and {name.lstrip("-") for name in names} & {*there}:
+            text = f"{command} has angles of a part of the joints {pair}: none counts"
+        elif max(angles) - min(angles) > _TOGETHER:
+            text = f"{command} turns the joints {pair} apart: the simulated ones take the mean"
+        if text and text not in self._told:
+            self._told.add(text)
+            self._tell(text)
 
     def _on_diagnosis(self, message: Any) -> None:
         values = {entry.key: entry.value for entry in message.status[0].values}
@@ -196,7 +223,7 @@ class TopicRobot(Observer):
         self._late.clear()
         self._base = _EPOCH + _BETWEEN * number
         self._zero, self._cloud = None, (None, 0.0)
-        self._now, self._speed = self._base, 0.0
+        self._now, self._when, self._speed = self._base, 0.0, 0.0
         self._watch, self._answered = CommandWatch(), -math.inf
         begin, until = time.time(), time.monotonic() + _DISCOVERY  # no number comes twice
         with self._heard:
@@ -264,12 +291,12 @@ class TopicRobot(Observer):
         late = link.delay + (self._rng.uniform(0.0, link.jitter) if link.jitter else 0.0)
         self._count += 1
         if late:
-            heapq.heappush(self._late, (self._now + late, self._count, topic, message))
+            heapq.heappush(self._late, (self._when + late, self._count, topic, message))
         else:
             self._send(topic, message)
 
     def _flush(self) -> None:
-        while self._late and self._late[0][0] <= self._now:
+        while self._late and self._late[0][0] <= self._when:
             *_, topic, message = heapq.heappop(self._late)
             self._send(topic, message)
 
@@ -288,13 +315,19 @@ class TopicRobot(Observer):
             if not link.simulated_clock:
                 self._base = time.time() - when
             self._make = replace(self._make, origin=self._base)
+        if link.clock_step is not None and self._when <= link.clock_step[0] < when:
+            self._base += link.clock_step[1]
+            self._make, self._cloud = replace(self._make, origin=self._base), (None, 0.0)
         if not link.lockstep:
             left = self._zero + when / link.rate - time.monotonic()
             if left > 0:
                 time.sleep(left)
+            elif link.simulated_clock:
+                self._zero -= left  # what is late stays late: the robot does not hurry
+                self.numbers.behind -= left
             else:
                 self.numbers.behind = max(self.numbers.behind, -left)
-        self._now = self._base + when
+        self._when, self._now = when, self._base + when
 
     def _tick(self) -> None:
         """In lockstep, tell the node that a sample is complete, and wait for its answer."""
@@ -325,7 +358,7 @@ def simulate(
         )
     wire = open_wire("simulated_robot")
     try:
-        robot, env = TopicRobot(wire, devices, config, link), FlipperEnv(config=config)
+        robot, env = TopicRobot(wire, devices, config, link, tell), FlipperEnv(config=config)
         seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
         for episode in range(episodes):
             robot.prepare(episode)

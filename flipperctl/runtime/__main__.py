@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from flipperctl.runtime.interface import Interface
 
 HELP = """Usage: python -m flipperctl.runtime FILE
-       python -m flipperctl.runtime --self-test MESSAGES [--signs rep103 | --devices FILE]
-       python -m flipperctl.runtime --shadow FILE MESSAGES [--signs rep103 | --devices FILE]
+       python -m flipperctl.runtime --self-test MESSAGES [--signs rep103 | devices=FILE]
+       python -m flipperctl.runtime --shadow FILE MESSAGES [--signs rep103 | devices=FILE]
 
 Check an exported policy, an .onnx file, and print its interface: the observation with units,
 frames and limits, input and outputs, the actions, the decision period, the rule of the targets, the
@@ -27,8 +27,9 @@ It needs only numpy and onnxruntime.
 measure from a file of JSON lines, or from a pipe with the name -, and names each sign that is
 wrong. --shadow prints what a policy would do on such messages, a line of JSON for each decision and
 each change of state, while nothing moves by it. --signs is the convention of the messages,
-flipperctl (default) or rep103; --devices is a file with the robot's signs, widths, mount and
-limits, YAML (needs ruamel.yaml) or JSON.
+flipperctl (default) or rep103. devices=FILE has the robot's joints, signs, units, widths, mount and
+limits, YAML (needs ruamel.yaml) or JSON; messages then have the numbers of the robot's topics.
+Without either, --shadow takes the devices that FILE holds.
 
 Examples
 
@@ -130,35 +131,41 @@ def _main(words: list[str]) -> int:
 
 def _on_messages(words: list[str]) -> int:
     """Run the self-test, or a policy in shadow mode, on a file of messages."""
-    from flipperctl.runtime.devices import read_devices
+    from flipperctl.runtime.devices import SECTION, read_devices
     from flipperctl.runtime.messages import CONVENTIONS
+    from flipperctl.runtime.policy import OnnxPolicy
     from flipperctl.runtime.recordings import Shadow, opened, read_lines, self_test, setup_by
 
     # What remains besides the convention or the devices must be one of two forms.
-    rest, given = list(words), {"--signs": "flipperctl"}
-    for option in ("--signs", "--devices"):
-        if option in rest[:-1]:
-            at = rest.index(option)
-            given[option] = rest[at + 1]
-            del rest[at : at + 2]
+    files = [word.partition("=")[2] for word in words if word.startswith(f"{SECTION}=")]
+    rest, signs = [word for word in words if not word.startswith(f"{SECTION}=")], None
+    if "--signs" in rest[:-1]:
+        at = rest.index("--signs")
+        signs = rest[at + 1]
+        del rest[at : at + 2]
     match rest:
-        case ["--self-test", _] | ["--shadow", _, _]:
+        case ["--self-test", _] | ["--shadow", _, _] if len(files) + (signs is not None) < 2:
             pass
         case _:
             raise RequestError(
                 "expected python -m flipperctl.runtime --self-test MESSAGES [--signs NAME] or "
-                f"--shadow FILE MESSAGES [--signs NAME]; got {shlex.join(words)}; see --help"
+                f"--shadow FILE MESSAGES [--signs NAME], or {SECTION}=FILE in place of --signs; "
+                f"got {shlex.join(words)}; see --help"
             )
-    if given["--signs"] not in CONVENTIONS:
+    if signs is not None and signs not in CONVENTIONS:
         known = ", ".join(CONVENTIONS)
-        raise RequestError(f"there is no convention {given['--signs']!r}; {known} is allowed")
-    file = Path(given["--devices"]) if "--devices" in given else None
-    setup, (lines, where) = setup_by(file, given["--signs"]), opened(rest[-1])
+        raise RequestError(f"there is no convention {signs!r}; {known} is allowed")
+
+    # The devices of the word, or of the policy that is tried
+    devices = read_devices(Path(files[0])) if files else None
+    if devices is None and signs is None and rest[0] == "--shadow":
+        devices = OnnxPolicy(rest[1]).interface.devices
+    setup, (lines, where) = setup_by(devices, signs or "flipperctl"), opened(rest[-1])
     if rest[0] == "--self-test":
-        return 0 if self_test(lines, where, setup).passed else 1
-    limits = None if file is None else read_devices(file).limits
+        return 0 if self_test(lines, where, setup, devices).passed else 1
+    limits = None if devices is None else devices.limits
     shadow = Shadow(Path(rest[1]), setup, lambda line: print(line, flush=True), limits)
-    for now, messages in read_lines(lines, where):
+    for now, messages in read_lines(lines, where, devices):
         shadow.take(now, messages)
     return 0
 

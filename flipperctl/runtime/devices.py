@@ -12,13 +12,22 @@ import json
 import math
 import typing
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from flipperctl.core.lidar.body import Mount
 from flipperctl.errors import MissingExtraError, PolicyError
-from flipperctl.runtime.messages import CONVENTIONS, REP_103, Limits, RobotSetup, Signs
+from flipperctl.runtime.messages import (
+    CONVENTIONS,
+    REP_103,
+    JointAngles,
+    Limits,
+    NewestJoints,
+    Odometry,
+    RobotSetup,
+    Signs,
+)
 
 SECTION = "devices"
 """Section of a robot's file, and the key of the command line."""
@@ -165,6 +174,19 @@ class Devices:
         """The signs of the messages; attitudes are quaternions, whose signs are by REP-103."""
         angles = CONVENTIONS[self.joints.signs]
         return Signs(front=angles.front, rear=angles.rear, pitch=REP_103.pitch)
+
+    def newest_joints(self) -> NewestJoints:
+        """Return what makes angles of the pairs [rad] of the joints' messages."""
+        return NewestJoints(self.joints.front, self.joints.rear, self.joints.scale)
+
+    def measured(self, message: Any) -> Any:
+        """Return a message in the robot's units, of ``flipperctl.runtime``, in SI units."""
+        if isinstance(message, JointAngles):
+            front, rear = (self.joints.scale * angle for angle in (message.front, message.rear))
+            return replace(message, front=front, rear=rear)
+        if isinstance(message, Odometry):
+            return replace(message, speed=self.belts.scale * message.speed)
+        return message
 
     def setup(self, mount: Mount) -> RobotSetup:
         """Return the setup of a controller whose clouds come as ``mount`` measures them."""

@@ -20,7 +20,7 @@ from flipperctl.core import FloatArray
 from flipperctl.core.lidar.body import Mount, mounting
 from flipperctl.runtime.controller import Answer, FlipperController
 from flipperctl.runtime.devices import Devices
-from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, NewestJoints, Odometry
+from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.point_cloud import PointTimes, read_cloud
 from flipperctl.runtime.policy import OnnxPolicy
 
@@ -123,8 +123,7 @@ class RobotNode:
 
         # What has arrived since the last step
         self._times = PointTimes()
-        joints = devices.joints
-        self._joints = NewestJoints(joints.front, joints.rear, joints.scale)
+        self._joints = devices.newest_joints()
         self._cloud: Cloud | None = None
         self._angles: JointAngles | None = None
         self._belts: Odometry | None = None
@@ -163,8 +162,7 @@ class RobotNode:
     def reset(self) -> None:
         """Begin anew on level ground, as after the robot was carried; by another clock, too."""
         self._cloud = self._angles = self._belts = self._measured = self._goal = None
-        joints = self.devices.joints
-        self._joints = NewestJoints(joints.front, joints.rear, joints.scale)
+        self._joints = self.devices.newest_joints()
         self.controller = self._begun()
 
     # What arrives
@@ -261,7 +259,7 @@ class RobotNode:
         else:
             speed = message.data
         self._heard |= {"belts"}
-        self._belts = Odometry(now, self.devices.belts.scale * speed)
+        self._belts = self.devices.measured(Odometry(now, speed))
 
     def joy(self, now: float, message: Any) -> None:
         """Take a ``Joy``: the operator drives while the dead-man button is pressed."""
@@ -301,16 +299,17 @@ class RobotNode:
             self._tell_missing()
         if self._axes is not None and now - self._joy_time > self.devices.limits.valid_for:
             self._axes = self._goal = None  # the operator's radio is gone
-        operator = self._axes is not None
-        self.controller.manual = operator or self._stopped or not self.enabled
+        operator, shadow = self._axes is not None, self._options["shadow"]
+        blocked = self._stopped or not (self.enabled or shadow)
+        self.controller.manual = operator or blocked
         answer = self.controller.step(now, self._cloud, attitude, self._angles, self._belts)
         self._cloud = self._angles = self._belts = None
         elapsed, self._then = now - self._then, now
         source: Source = "operator" if operator else "policy"
-        if self._stopped or (source == "policy" and not self.enabled):
+        if self._stopped or (source == "policy" and blocked):
             source = "nobody"
         diagnosis = self._diagnosis(answer, source)
-        if self._options["shadow"]:
+        if shadow:
             return None, diagnosis
         # Who commands: the operator, the policy, or nobody, for whom the belts stand.
         pair, speed = answer.targets, self.speed if answer.drive else 0.0
@@ -375,6 +374,8 @@ class RobotNode:
         if self._stopped:
             values["fault"] = "stop_by_hand"
             return Diagnosis("error", "stopped by hand; it goes on when acknowledged", values)
+        if source == "nobody" and not answer.fault:
+            return Diagnosis("ok", "the policy is not enabled", values)
         level = _LEVELS.get(answer.state, "warn")
         return Diagnosis(level, answer.reason or answer.state, values)
 

@@ -24,7 +24,7 @@ from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.targets import closest
 from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime.controller import Answer, FlipperController
-from flipperctl.runtime.devices import read_devices
+from flipperctl.runtime.devices import Devices
 from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.messages import CONVENTIONS, KINDS, JointAngles, Limits, RobotSetup
 
@@ -39,20 +39,30 @@ _NO_MESSAGE = (
 """What a line raises that is no message."""
 
 
-def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[str, Any]]]:
+def read_lines(
+    lines: Iterable[str], where: str, devices: Devices | None = None
+) -> Iterator[tuple[float, dict[str, Any]]]:
     """Yield time and messages of lines of JSON, as ``{"time": 1.2, "joints": {"front": 0, …}}``.
 
-    A message without a time has its line's.
+    A message without a time has its line's. With ``devices``, numbers are in the robot's units, and
+    ``joints`` may have the angle of each joint by its name, as ``{"fl": 12.0, "fr": -12.0, …}``.
     """
+    newest = None if devices is None else devices.newest_joints()
     for number, line in enumerate(lines, 1):
         if not line.strip():
             continue
         try:
             entry = json.loads(line)
             time = float(entry.pop("time"))
-            messages = {
-                name: KINDS[name](**{"time": time, **values}) for name, values in entry.items()
-            }
+            messages: dict[str, Any] = {}
+            for name, values in entry.items():
+                named = {"time": time, **values}
+                if name == "joints" and newest is not None and not {"front", "rear"} & {*named}:
+                    angles = newest.take(float(named.pop("time")), named.keys(), named.values())
+                    messages |= {} if angles is None else {name: angles}
+                    continue
+                message = KINDS[name](**named)
+                messages[name] = message if devices is None else devices.measured(message)
         except _NO_MESSAGE as error:
             # The error shows what a message may have.
             known = "; ".join(
@@ -100,18 +110,31 @@ class _Part(NamedTuple):
     threshold: float
     """Change that counts as the motion."""
     unit: str
+    advice: str
+    """What mends a wrong sign of a robot with a file of devices."""
 
 
+_JOINTS = "change joints.signs, or the - before the names of joints."
+_IMU = "turn the Imu as REP-103 does, or mend the place of its frame in tf"
 _PARTS = (
-    _Part("front", "joints", "Raise the front flippers by 15° or more.", 0.2, "rad"),
-    _Part("rear", "joints", "Raise the rear flippers by 15° or more.", 0.2, "rad"),
-    _Part("pitch", "attitude", "Lift the nose of the robot by 5° or more.", 0.08, "rad"),
     _Part(
-        "yaw", "attitude", "Lower it, and turn the robot to the left by 20° or more.", 0.3, "rad"
+        "front", "joints", "Raise the front flippers by 15° or more.", 0.2, "rad", f"{_JOINTS}front"
     ),
-    _Part("x", "odometry", "Drive ahead by 0.2 m or more.", 0.15, "m"),
     _Part(
-        "x", "cloud", "Stand still; hold a board upright 0.5 m ahead of the LiDAR.", 10, "points"
+        "rear", "joints", "Raise the rear flippers by 15° or more.", 0.2, "rad", f"{_JOINTS}rear"
+    ),
+    _Part("pitch", "attitude", "Lift the nose of the robot by 5° or more.", 0.08, "rad", _IMU),
+    _Part(
+        *("yaw", "attitude", "Lower it, and turn the robot to the left by 20° or more."),
+        *(0.3, "rad", _IMU),
+    ),
+    _Part(
+        *("x", "odometry", "Drive ahead by 0.2 m or more.", 0.15, "m"),
+        "change the sign of belts.scale",
+    ),
+    _Part(
+        *("x", "cloud", "Stand still; hold a board upright 0.5 m ahead of the LiDAR."),
+        *(10, "points", "mend lidar.axis, or the place of the clouds' frame in tf"),
     ),
 )
 """The motions in their order; one whose device never reports is told as not measured."""
@@ -134,9 +157,12 @@ class Verdict:
 class SelfTest:
     """Takes messages, tells the builder what to do next, and collects the verdicts."""
 
-    def __init__(self, setup: RobotSetup) -> None:
-        """``setup``: the signs, frames and the mount that are tested."""
-        self._setup = setup
+    def __init__(self, setup: RobotSetup, *, of_devices: bool = False) -> None:
+        """``setup``: the signs, frames and the mount that are tested.
+
+        ``of_devices``: whether it is that of a file of devices, whose keys the advice names.
+        """
+        self._setup, self._of_devices = setup, of_devices
         self._intake = Intake(setup, Limits())
         self._rotation = mounting(setup.mount.axis)
         self._values: dict[tuple[str, str], float] = {}  # sign and device → what is watched
@@ -144,6 +170,8 @@ class SelfTest:
         self._base: float | None = None  # the value when the motion was asked for
         self._begun: float | None = None
         self.verdicts: list[Verdict] = []
+        self.refused: dict[str, str] = {}
+        """Device → the first value of it that no robot has, as by a wrong unit."""
 
     @property
     def over(self) -> bool:
@@ -157,8 +185,8 @@ class SelfTest:
 
     @property
     def passed(self) -> bool:
-        """Whether every motion was measured, each with the right sign."""
-        return all(v.right for v in self.verdicts)
+        """Whether every motion was measured, each with the right sign and in its unit."""
+        return all(v.right for v in self.verdicts) and not self.refused
 
     def step(self, now: float, **messages: object) -> str:
         """Take in messages as ``FlipperController.step`` does; return new lines, mostly none."""
@@ -168,6 +196,10 @@ class SelfTest:
             lines.append(self._next())
         for device, time, message in self._intake.receive(now, **messages):
             self._measure(device, time, message)
+        for device in messages:
+            fault = self._intake.refused(device)
+            if fault is not None and fault.name.endswith("_value"):
+                self.refused.setdefault(device, fault.reason)
         verdict = None if self.over else self._verdict(now - self._begun)
         if verdict is not None:
             self.verdicts.append(verdict)
@@ -182,6 +214,8 @@ class SelfTest:
             return f"{done + 1} of {len(_PARTS)}: {_PARTS[done].instruction}"
         if self.wrong:
             return f"Wrong signs: {', '.join(self.wrong)}."
+        if self.refused:
+            return f"Refused, as of a wrong unit: {'; '.join(self.refused.values())}."
         silent = ", ".join(v.device for v in self.verdicts if v.right is None)
         return f"No sign is wrong; not measured: {silent}." if silent else "All is right."
 
@@ -194,6 +228,9 @@ class SelfTest:
         match message:
             case Joints():
                 values["front", device], values["rear", device] = message.front, message.rear
+                if (most := max(abs(message.front), abs(message.rear))) > math.pi:
+                    text = f"{device}: an angle of {most:.2f} rad; at most π is allowed"
+                    self.refused.setdefault(device, text)
             case Inertial():
                 values["pitch", device] = message.pitch
                 values["yaw", device] = (
@@ -222,34 +259,38 @@ class SelfTest:
             if elapsed < _PATIENCE:
                 return None
             text = f"{sign}: {device} showed no such motion in {_PATIENCE:g} s"
+            refused = self._intake.refused(device)
+            text += "" if refused is None else f": {refused.reason}"
             return Verdict(sign, device, None, text)
         if grown > 0:
             text = f"{sign}: right ({device}, {grown:+.2f} {part.unit})"
             return Verdict(sign, device, True, text)
+        advice = f"set signs.{sign} to {-getattr(self._setup.signs, sign)}"
         text = (
             f"{sign}: WRONG: {device} changed by {grown:+.2f} {part.unit}, which must "
-            f"grow; set signs.{sign} to {-getattr(self._setup.signs, sign)}"
+            f"grow; {part.advice if self._of_devices else advice}"
         )
         return Verdict(sign, device, False, text)
 
 
-def setup_by(devices: Path | None, signs: str) -> RobotSetup:
-    """Return the setup of a file of devices, or of a convention of signs without one.
+def setup_by(devices: Devices | None, signs: str) -> RobotSetup:
+    """Return the setup of a robot's devices, or of a convention of signs without them.
 
-    Messages are in the units of ``flipperctl.runtime``, and clouds in the frame of their mount.
+    Clouds are in the frame of their mount.
     """
     if devices is None:
         return RobotSetup(signs=CONVENTIONS[signs])
-    setup = read_devices(devices)
-    frame = "lidar" if setup.mount is not None else setup.frames.base
-    mount = setup.mount or Mount(0.0, 0.0, math.pi / 2, setup.lidar.near, setup.lidar.margin)
-    return replace(setup.setup(mount), cloud_frame=frame)
+    at, frame = devices.lidar, "lidar" if devices.mount is not None else devices.frames.base
+    mount = devices.mount or Mount(0.0, 0.0, math.pi / 2, at.near, at.margin)
+    return replace(devices.setup(mount), cloud_frame=frame)
 
 
-def self_test(lines: Iterable[str], where: str, setup: RobotSetup) -> SelfTest:
-    """Test the messages of ``lines``, and print instructions and verdicts."""
-    test, now = SelfTest(setup), 0.0
-    for now, messages in read_lines(lines, where):
+def self_test(
+    lines: Iterable[str], where: str, setup: RobotSetup, devices: Devices | None = None
+) -> SelfTest:
+    """Test the messages of ``lines``, and print instructions and verdicts; see ``read_lines``."""
+    test, now = SelfTest(setup, of_devices=devices is not None), 0.0
+    for now, messages in read_lines(lines, where, devices):
         text = test.step(now, **messages)
         if text:
             print(text, flush=True)

@@ -39,7 +39,7 @@ def rover(tmp_path: Path) -> Path:
 def test_the_draft_of_a_robot_is_nubot_with_its_devices(tmp_path: Path) -> None:
     done = call("new", "robot", "mine", cwd=tmp_path)
     assert done.code == 0
-    assert "flipperctl eval okada robot=mine.yaml devices=mine.yaml" in done.out
+    assert "flipperctl eval okada robot=mine.yaml\n" in done.out
     assert read_devices(tmp_path / "mine.yaml") == robot_devices(tmp_path / "mine.yaml")
     assert read_devices(tmp_path / "mine.yaml") == Devices()
     assert named_robot(str(tmp_path / "mine.yaml")) == Robot()
@@ -52,6 +52,11 @@ def test_an_evaluation_and_a_training_take_the_devices(rover: Path) -> None:
     assert "mount_x: 0.2" in shown
     assert "overall_width: 0.6" in shown
     assert "pose: belts" in shown
+    # A robot's file holds them, unless another sensor is chosen.
+    body, *rest = words[0], *words[2:]
+    assert call("inspect", "config", body, *rest, cwd=rover).out == shown
+    chosen = call("inspect", "config", body, *rest, "perception=planar", cwd=rover)
+    assert (chosen.code, "mount_axis" in chosen.out) == (0, False)
     changed = call("inspect", "config", *words, "perception.overall_width=0.7", cwd=rover).out
     assert "overall_width: 0.7" in changed  # what is typed counts
     refused = call("eval", "okada", "devices=none.yaml", cwd=rover)
@@ -134,11 +139,31 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder, file
 
 
+def test_the_devices_of_a_policy_count_in_shadow_mode(tmp_path: Path) -> None:
+    """Of a policy that holds none, the joints of this bag have other names."""
+    settings = {"joints": {"front": ["fl", "-fr"], "rear": ["rl", "-rr"], "scale": 0.1}}
+    (tmp_path / "d.json").write_text(json.dumps(settings))
+    devices = "devices=d.json"
+    words = "terrain=step", "perception=lidar", "perception.pose=belts", "perception.azimuths=60"
+    words = *words, "episode.run_up=0.8", "episode.run_out=0.4", devices, "--output", "bag"
+    assert call("export", "mcap", "okada", *words, cwd=tmp_path).code == 0
+    policy = "export", "onnx", "generalist", devices, "--output", "p.onnx"
+    assert call(*policy, cwd=tmp_path).code == 0
+    logs = []
+    for more in ((), (devices,)):
+        shadow = call("robot", "shadow", "p.onnx", "bag", *more, "--json", cwd=tmp_path)
+        document = json.loads(shadow.out)
+        assert document["topics"]["joints"] == "/joint_states"
+        assert document["decisions"] > 3
+        logs.append(document)
+    assert logs[0] == logs[1]
+
+
 def test_the_runtime_reads_devices_without_flipperctls_packages(
     drive: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, file = drive
-    words = ["--shadow", str(file), str(folder / "m.jsonl"), "--devices", str(folder / "d.json")]
+    words = ["--shadow", str(file), str(folder / "m.jsonl"), f"devices={folder / 'd.json'}"]
     assert _main(words) == 0
     log = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert sum(line["action"] is not None for line in log) > 5
@@ -156,7 +181,7 @@ def test_core_and_runtime_decide_the_same_on_python_3_10(
     pip = [python, "-m", "pip", "install", "--quiet", "numpy", "onnxruntime"]
     subprocess.run(pip, check=True, capture_output=True)
     folder, file = drive
-    words = ["--shadow", file, folder / "m.jsonl", "--devices", folder / "d.json"]
+    words = ["--shadow", file, folder / "m.jsonl", f"devices={folder / 'd.json'}"]
     command = ["-m", "flipperctl.runtime", *words]
     logs = []
     for program in (python, sys.executable):

@@ -6,13 +6,14 @@ that they need are missing, its tests are skipped with the reason.
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +28,35 @@ from tests.cli.call import call
 from tests.environment import interpreter
 
 pytest.importorskip("cyclonedds", reason="the extra dds is not installed")
+from flipperctl.ros.dds import CycloneWire
+
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[2]
+WAIT = 240  # for what comes within seconds, as the machine may be busy [s]
 PACKAGE = ROOT / "examples" / "ros2" / "flipperctl_ros"
 MESSAGES = ("sensor", "std", "diagnostic", "nav", "geometry", "visualization")
+FLAT = "terrain=flat", "terrain.length=1", "episode.run_up=0.3", "episode.run_out=0.2"
+FLAT = *FLAT, "episode.slack=30", "episode.stuck_window=1000", "perception.azimuths=60"
+CLOCK = {"use_sim_time": True}  # so that a busy machine is no fault of its own
 DISTRIBUTIONS = {"jazzy": ("3.12", "ros-jazzy-"), "kilted": ("3.10", "ros-")}
 ALONE = """<?xml version="1.0" encoding="UTF-8" ?>
 <dds xmlns="http://www.eprosima.com"><profiles>
 <participant profile_name="p" is_default_profile="true"><rtps><propertiesPolicy><properties>
 <property><name>fastdds.type_propagation</name><value>disabled</value></property>
 </properties></propertiesPolicy></rtps></participant></profiles></dds>
+"""
+CLIENT = """
+import json, sys, rclpy, std_srvs.srv as services
+name, kind, request = sys.argv[1:]
+kind = getattr(services, kind)
+rclpy.init()
+node = rclpy.create_node("client")
+client = node.create_client(kind, name)
+assert client.wait_for_service(120)
+answer = client.call_async(kind.Request(**json.loads(request)))
+rclpy.spin_until_future_complete(node, answer, timeout_sec=120)
+print(answer.result().message)
 """
 
 
@@ -49,7 +68,7 @@ class Node:
     log: Path
 
     def wait_for(self, text: str) -> None:
-        until = time.monotonic() + 60
+        until = time.monotonic() + WAIT
         while text not in self.log.read_text():
             assert time.monotonic() < until, self.log.read_text()
             time.sleep(0.2)
@@ -62,13 +81,15 @@ class Ros:
     python: Path
     folder: Path
     variables: dict[str, str]
+    within: tuple[str, ...] = ()
+    """Beginning of each command, as of one that enters a network of its own."""
 
     @contextmanager
     def node(self, **parameters: Any) -> Iterator["Node"]:
-        """Run the node until the end of the block."""
-        words = [f"{name}:={value}" for name, value in parameters.items()]
+        """Run the node until the end of the block; the policy may command."""
+        words = [f"{name}:={value}" for name, value in ({"enabled": True} | parameters).items()]
         given = [word for pair in zip(["-p"] * len(words), words, strict=True) for word in pair]
-        command = [self.python, "-m", "flipperctl_ros.node", "--ros-args", *given]
+        command = [*self.within, self.python, "-m", "flipperctl_ros.node", "--ros-args", *given]
         command += ["-p", f"policy:={self.folder / 'p.onnx'}"]
         log = self.folder / f"node{time.monotonic_ns()}.log"
         with log.open("w") as file:
@@ -84,18 +105,68 @@ class Ros:
     def simulate(self, *words: str) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "flipperctl", "robot", "simulate", *words, "--json"]
         return subprocess.Popen(
-            [*command, f"devices={self.folder / 'd.json'}", "sim=mujoco"],
+            [*self.within, *command, f"devices={self.folder / 'd.json'}", "sim=mujoco"],
             env=self.variables | {"PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
 
+    def call(self, service: str, kind: str = "Trigger", **request: Any) -> str:
+        """Call a service of the node; return its message."""
+        command = [self.python, "-c", CLIENT, service, kind, json.dumps(request)]
+        done = subprocess.run(command, env=self.variables, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    @contextmanager
+    def listener(self, monkeypatch: pytest.MonkeyPatch) -> Iterator["Listener"]:
+        """Listen to the topics until the end of the block."""
+        monkeypatch.setenv("ROS_DOMAIN_ID", self.variables["ROS_DOMAIN_ID"])
+        wire = CycloneWire("listener")
+        try:
+            yield Listener(wire)
+        finally:
+            wire.close()
+
     def episodes(self, process: subprocess.Popen[str]) -> list[dict[str, Any]]:
         out, err = process.communicate(timeout=1500)
         assert process.returncode == 0, err
         rows: list[dict[str, Any]] = json.loads(out)["episodes"]
         return rows
+
+
+class Listener:
+    """What the robot did and what the node said."""
+
+    def __init__(self, wire: CycloneWire) -> None:
+        self.ways, self.faults = [0.0], set[str]()
+        self.commands: list[float] = []  # speeds of the belts [m/s]
+        wire.subscribe("odom", "nav_msgs/msg/Odometry", self._on_odometry)
+        wire.subscribe("joint_command", "sensor_msgs/msg/JointState", self._on_command)
+        wire.subscribe("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", self._on_diagnosis)
+
+    def _on_odometry(self, message: Any) -> None:
+        self.ways.append(message.pose.pose.position.x)
+
+    def _on_command(self, message: Any) -> None:
+        self.commands.append(float(message.velocity[-1]))
+
+    def _on_diagnosis(self, message: Any) -> None:
+        self.faults |= {v.value for v in message.status[0].values if v.key == "fault"}
+
+    def wait_for_fault(self, name: str) -> None:
+        until = time.monotonic() + WAIT
+        while name not in self.faults:
+            assert time.monotonic() < until, self.faults
+            time.sleep(0.05)
+
+    def stands(self, seconds: float = 2.0) -> bool:
+        """Return whether the robot, once it has stopped, moves no more while time passes."""
+        time.sleep(1.0)
+        messages, way = len(self.ways), self.ways[-1]
+        time.sleep(seconds)
+        return len(self.ways) > messages + 20 and abs(self.ways[-1] - way) < 0.01
 
 
 @pytest.fixture(scope="module", params=DISTRIBUTIONS)
@@ -166,15 +237,82 @@ def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:
     assert row["diagnoses"]["driving"] > 0.8 * sum(row["diagnoses"].values())
 
 
-def test_a_second_node_refuses_and_a_killed_one_stops_the_robot(ros: Ros) -> None:
-    with ros.node() as first:
-        robot = ros.simulate("terrain=flat", "terrain.length=2")
+def test_a_second_node_refuses_and_a_killed_one_stops_the_robot(
+    ros: Ros, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A node that was killed and started again does not move it until it is enabled."""
+    with ros.listener(monkeypatch) as heard, ros.node(**CLOCK) as first:
+        robot = ros.simulate(*FLAT, "--sim-time")
         first.wait_for("driving")
-        with ros.node() as second:
+        with ros.node(**CLOCK) as second:
             second.wait_for("another node commands joint_command")  # refused, or stopped
         assert "another node" not in first.log.read_text()
         first.process.send_signal(signal.SIGKILL)
+        assert heard.stands()
+        heard.commands.clear()
+        with ros.node(enabled=False, **CLOCK) as third:
+            third.wait_for("active: commands joint_command")
+            assert heard.stands()
+            assert set(heard.commands) == {0.0}
+            assert ros.call("enable", "SetBool", data=True) == "enabled"
+            (row,) = ros.episodes(robot)
+    assert row["outcome"] == "reached"
+
+
+@pytest.mark.parametrize("seconds", [5.0, -5.0])
+def test_a_clock_that_steps_stops_the_robot_until_it_is_acknowledged(
+    ros: Ros, monkeypatch: pytest.MonkeyPatch, seconds: float
+) -> None:
+    with ros.listener(monkeypatch) as heard, ros.node(**CLOCK) as node:
+        robot = ros.simulate(*FLAT, "--sim-time", "--clock-step", "2", str(seconds))
+        heard.wait_for_fault("clock_jump")
+        assert heard.stands()
+        assert heard.commands[-1] == 0.0
+        assert ros.call("acknowledge") == "acknowledged"
         (row,) = ros.episodes(robot)
-    # Without a command the motors stand: the robot makes no way, until the episode is over.
-    assert row["outcome"] == "timeout"
-    assert row["commands"] > 30
+        assert "Traceback" not in node.log.read_text()
+    assert row["outcome"] == "reached"
+
+
+def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(ros: Ros) -> None:
+    """Messages that were on their way come late, too."""
+    with network() as (within, switch):
+        ros = replace(ros, within=within)
+        # By the clock of the machine, which no link cuts; it may be busy, so messages may be late.
+        ages = {"cloud": 1.5, "attitude": 0.8, "joints": 0.8, "odometry": 1.0}
+        settings = json.loads((ros.folder / "d.json").read_text()) | {"limits": {"ages": ages}}
+        (ros.folder / "late.json").write_text(json.dumps(settings))
+        with ros.node(devices=ros.folder / "late.json") as node:
+            robot = ros.simulate(*FLAT)
+            node.wait_for("driving")
+            switch("down")
+            time.sleep(6)
+            assert '"state": "stopped"' in node.log.read_text()
+            switch("up")
+            (row,) = ros.episodes(robot)
+            assert "Traceback" not in node.log.read_text()
+    assert row["outcome"] == "reached"
+    assert row["seconds"] > 6 + 1.4 / 0.2
+
+
+@contextmanager
+def network() -> Iterator[tuple[tuple[str, ...], Callable[[str], object]]]:
+    """Yield how a command enters a network of its own, and a switch of its only link."""
+    if shutil.which("unshare") is None or shutil.which("ip") is None:
+        pytest.skip("this machine has no unshare or ip")
+    alone = ["unshare", "-Urn"]
+    if subprocess.run([*alone, "true"], capture_output=True).returncode != 0:
+        pytest.skip("this machine allows no network of one's own")
+    holder = subprocess.Popen([*alone, "sleep", "infinity"])
+    time.sleep(0.5)
+    within = ("nsenter", "-t", str(holder.pid), "-U", "-n", "--preserve-credentials")
+
+    def switch(state: str) -> None:
+        subprocess.run([*within, "ip", "link", "set", "lo", state, "multicast", "on"], check=True)
+
+    try:
+        switch("up")
+        yield within, switch
+    finally:
+        holder.kill()
+        holder.wait()

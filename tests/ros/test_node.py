@@ -219,7 +219,9 @@ def test_a_stop_is_acknowledged(file: Path, stream: Stream) -> None:
 
 
 def test_shadow_mode_commands_nothing(file: Path, stream: Stream) -> None:
-    driver = Driver(file, stream, shadow=True).play(stream)
+    driver = Driver(file, stream, shadow=True)
+    driver.node.enabled = False  # as no one commands, this changes nothing
+    driver.play(stream)
     assert set(driver.states[3:]) == {"driving"}
     assert driver.commands == []
 
@@ -279,6 +281,7 @@ def test_a_node_that_is_not_enabled_commands_nothing(file: Path, stream: Stream)
     driver.node.enabled = False
     driver.play(stream)
     assert {(c.drive, c.flippers, c.source) for c in driver.commands} == {(False, (), "nobody")}
+    assert driver.told[-1][1].message == "the policy is not enabled"
 
 
 def test_markers_show_what_it_perceives_and_plans(tmp_path: Path, stream: Stream) -> None:

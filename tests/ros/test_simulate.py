@@ -1,5 +1,6 @@
 """The simulated robot on topics and the robot's node, joined in this process."""
 
+import itertools
 import math
 import time
 from itertools import islice
@@ -136,6 +137,53 @@ def test_motors_without_a_command_stand(policy: Path, monkeypatch: pytest.Monkey
     assert ways[-1] - ways[5] == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("angles", "text"),
+    [
+        ([0.2, 0.2, 0.1, 0.1], None),
+        ([0.2, -0.2, 0.1, 0.1], "joint_command turns the joints front_left_flipper, front_right"),
+        ([0.2], "joint_command has angles of a part of the joints front_left_flipper, front_r"),
+        ([], None),
+    ],
+)
+def test_commands_that_turn_a_pair_apart_are_told(angles: list[float], text: str | None) -> None:
+    devices, told = devices_of({"lidar": PLACE}, "test"), []
+    wire = Joined(None)
+    TopicRobot(wire, devices, scene(devices), Link(), told.append)
+    names = [*devices.joints.front, *devices.joints.rear][: len(angles)]
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
+    message = SimpleNamespace(
+        header=header,
+        name=[*names, "belts"],
+        position=[*angles, math.nan],
+        velocity=[*(math.nan for _ in names), 0.2],
+    )
+    for _ in range(2):
+        wire.receivers["joint_command"](message)
+    assert len(told) == (0 if text is None else 1)
+    assert all(line.startswith(text) for line in told)
+
+
+def test_a_clock_that_steps_changes_stamps_alone(policy: Path) -> None:
+    devices = devices_of({"lidar": PLACE}, "test")
+    config, wire, stamps = scene(devices), Joined(None), []
+    link = Link(rate=50.0, clock_step=(0.5, -5.0))
+    robot = TopicRobot(wire, devices, config, link)
+    wire.sent = lambda topic, message: (  # type: ignore[method-assign]
+        stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+        if topic == devices.topics.joints
+        else None
+    )
+    env = FlipperEnv(config=config)
+    for number, _ in enumerate(decisions(env, robot, 5, observers=(robot,))):
+        if number == 1:
+            break
+    steps = [round(after - before, 6) for before, after in itertools.pairwise(stamps)]
+    assert steps.count(-4.99) == 1
+    assert set(steps) == {-4.99, 0.01}
+    assert stamps[0] - min(stamps) == pytest.approx(5.0 - 0.51)
+
+
 def test_in_lockstep_a_node_that_is_not_there_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     devices = devices_of({"lidar": PLACE}, "test")
     monkeypatch.setattr(simulate, "_DISCOVERY", 0.3)
@@ -172,7 +220,7 @@ def test_messages_come_late_in_another_order_or_never() -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--lockstep", "--rate", "2"], "--lockstep has no rate, delay, jitter or loss"),
+        (["--lockstep", "--rate", "2"], "--lockstep has no rate, delay, jitter, loss or step"),
         (["perception.pose=true"], "perception.pose=belts or matched is allowed"),
         (["devices=none.yaml"], "none.yaml cannot be read"),
     ],

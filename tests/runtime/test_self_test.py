@@ -62,6 +62,58 @@ def test_an_x_axis_to_the_rear_is_named() -> None:
     assert [v.device for v in test.verdicts if v.right is False] == ["odometry", "cloud"]
 
 
+OTHER = {
+    "joints": {"front": ["fl", "-fr"], "rear": ["rl", "-rr"], "scale": math.radians(1)},
+    "belts": {"scale": 0.001},
+    "lidar": {"x": 0.25, "z": 0.4, "axis": -math.pi / 4},
+}
+
+
+def in_units_of_topics() -> list[str]:
+    """The same motions as the joints of another robot tell them, in degrees and mm/s."""
+    lines = []
+    for text in LINES:
+        line = json.loads(text)
+        front, rear = (math.degrees(line["joints"][name]) for name in ("front", "rear"))
+        line["joints"] = {"fl": front, "fr": -front, "rl": rear, "rr": -rear}
+        line["odometry"]["speed"] *= 1000
+        lines.append(json.dumps(line))
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("change", "wrong", "text"),
+    [
+        ({}, (), "All is right."),
+        ({"signs": "flipperctl"}, ("front",), "change joints.signs, or the - before the names"),
+        ({"front": ["fl", "fr"]}, (), "not measured: joints"),
+        ({"scale": 1.0}, (), "Refused, as of a wrong unit: joints: an angle of"),
+    ],
+    ids=["right", "sign", "mirrored", "unit"],
+)
+def test_units_and_signs_of_the_devices_are_those_of_the_node(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture,
+    change: dict,
+    wrong: tuple[str, ...],
+    text: str,
+) -> None:
+    settings = OTHER | {"joints": OTHER["joints"] | change}
+    (tmp_path / "d.json").write_text(json.dumps(settings))
+    (tmp_path / "m.jsonl").write_text("\n".join(in_units_of_topics()))
+    words = str(tmp_path / "m.jsonl"), f"devices={tmp_path / 'd.json'}"
+    status = _main(["--self-test", *words])
+    told = capsys.readouterr().out
+    assert text in told
+    assert status == (0 if text == "All is right." else 1)
+    assert all(f"{sign}: WRONG" in told for sign in wrong)
+    assert "signs.front to" not in told  # a file of devices has no such key
+    done = call("robot", "self-test", *words, cwd=tmp_path)
+    assert (done.code, done.out) == (status, told)
+    both = call("robot", "self-test", *words, "--signs", "rep103", cwd=tmp_path)
+    assert (both.code, both.err.count("\n")) == (2, 1)
+
+
 def test_a_device_that_is_silent_does_not_pass(capsys: pytest.CaptureFixture) -> None:
     silent = ['{"time": 0, "joints": {"front": 0, "rear": 0}}']
     assert not self_test(silent, "m", RobotSetup()).passed

@@ -3,8 +3,9 @@
     ros2 run flipperctl_ros node --ros-args -p policy:=stair.onnx -p devices:=robot.yaml
 
 ``configure`` reads policy and devices and listens; only an ``active`` node commands. With the
-parameter ``autostart`` (true by default) it does both by itself. All names, frames, units and
-limits are those of the devices file; remaps and a namespace work as usual.
+parameter ``autostart`` (true by default) it does both by itself. The policy commands once the
+service ``enable`` says so, so that a node that was started again moves nothing. All names, frames,
+units and limits are those of the devices file; remaps and a namespace work as usual.
 """
 
 import sys
@@ -34,6 +35,16 @@ LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": Dia
 KINDS = {"plan": Marker.LINE_LIST, "risk": Marker.TEXT_VIEW_FACING}  # the others are points
 BELTS = {"Float64": Float64, "Odometry": Odometry}
 OF_ROS = {"use_sim_time", "start_type_description_service"}
+PARAMETERS = {
+    "policy": ("policy.onnx", "an exported policy"),
+    "devices": ("", "the robot's devices, a file; empty: the policy's own, or nubot's"),
+    "enabled": (False, "whether the policy commands before the service enable says so"),
+    "shadow": (False, "whether nothing is commanded"),
+    "escape": (False, "whether a policy that warns draws its actions"),
+    "belts_type": ("Float64", "type of the belts' speed: Float64 or Odometry"),
+    "lockstep": (False, "whether a simulated robot waits for each answer"),
+    "autostart": (True, "whether the node configures and activates itself"),
+}
 PERIOD = 0.05  # of steps without messages, since age is a fault [s]
 DISCOVERY, NEW = 2.0, 10.0  # in which another node is seen; is the newer one of two [s]
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -46,19 +57,10 @@ class FlipperNode(LifecycleNode):
     def __init__(self, **options):
         declare = {"automatically_declare_parameters_from_overrides": True}
         super().__init__("flipperctl", **declare, **options)
-        defaults = {
-            "policy": "policy.onnx",
-            "devices": "",  # the policy's own, or nubot's
-            "shadow": False,
-            "escape": False,
-            "belts_type": "Float64",  # or Odometry
-            "lockstep": False,  # with a simulated robot that waits
-            "autostart": True,
-        }
         # A misspelt parameter, as of shadow, must not move the robot.
-        given = set(self.get_parameters_by_prefix("")) - set(defaults) - OF_ROS
+        given = set(self.get_parameters_by_prefix("")) - set(PARAMETERS) - OF_ROS
         self.unknown = {name for name in given if "." not in name}
-        for name, default in defaults.items():
+        for name, (default, _) in PARAMETERS.items():
             if not self.has_parameter(name):
                 self.declare_parameter(name, default)
         self.robot, self.lockstep, self.commands, self.ours = None, None, {}, []
@@ -94,7 +96,7 @@ class FlipperNode(LifecycleNode):
             log.error(str(error))
             return FAILURE
         self.robot.enabled, self.episode = False, None
-        self.enabled = True  # what the service says
+        self.enabled = self.parameter("enabled")  # then what the service says
         self.lockstep = Lockstep(self.robot) if self.parameter("lockstep") else None
         if self.robot.devices.mount is None and not self.listens_to_tf():
             log.error("tf2_ros is missing; give the place of the LiDAR in the devices file")
@@ -329,8 +331,18 @@ class FlipperNode(LifecycleNode):
         return Place(t.x, t.y, t.z, (q.x, q.y, q.z, q.w))
 
 
+def usage():
+    """Return how the node is started, and its parameters with their defaults."""
+    about = __doc__.replace("``", "")
+    rows = [f"  {name} ({value!r}): {text}" for name, (value, text) in PARAMETERS.items()]
+    return "\n".join([about, "Parameters, with their defaults:", *rows])
+
+
 def main():
     """Run the node until it is stopped."""
+    if {"-h", "--help"} & {*sys.argv[1:]}:
+        print(usage())
+        return
     rclpy.init()
     try:
         node = FlipperNode()

@@ -9,6 +9,7 @@ ARGUMENTS = {
     "policy": ("policy.onnx", "an exported policy"),
     "devices": ("", "the robot's devices, a file; empty: the policy's own"),
     "namespace": ("", "namespace of the robot"),
+    "enabled": ("false", "whether the policy commands before the service enable says so"),
     "shadow": ("false", "whether nothing is commanded"),
     "escape": ("false", "whether a policy that warns draws its actions"),
     "use_sim_time": ("false", "whether the clock is that of a simulator"),

@@ -30,6 +30,8 @@ def generate_launch_description():
             DeclareLaunchArgument("terrain", default_value="paper_step"),
             DeclareLaunchArgument("devices", default_value=default),
             simulate,
-            IncludeLaunchDescription(robot, launch_arguments={"devices": devices}.items()),
+            IncludeLaunchDescription(
+                robot, launch_arguments={"devices": devices, "enabled": "true"}.items()
+            ),
         ]
     )
