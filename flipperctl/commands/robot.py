@@ -383,8 +383,8 @@ def simulate(
         float, typer.Option(metavar="P", min=0, max=0.9, help="Share of lost messages.")
     ] = 0.0,
     clock_step: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="AT S", help="The clock steps by S seconds at AT s of an episode."),
+        str | None,
+        typer.Option(metavar="AT:S", help="The clock steps by S seconds at AT s of an episode."),
     ] = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -405,13 +405,13 @@ def simulate(
       flipperctl robot simulate terrain=step --lockstep --json
     """
     from flipperctl.config.words import with_flags
-    from flipperctl.ros.simulate import Link
+    from flipperctl.ros.simulate import Link, step_of
     from flipperctl.ros.simulate import simulate as simulated
     from flipperctl.runtime.devices import Devices
     from flipperctl.terminal.streams import print_note
     from flipperctl.terminal.tables import print_simulated
 
-    link = Link(rate, lockstep, sim_time, delay, jitter, loss, clock_step)
+    link = Link(rate, lockstep, sim_time, delay, jitter, loss, step_of(clock_step))
     words = with_flags(list(overrides or ()), seed=seed)
     config, *_, devices = recorded_robot(words, Devices())
     rows = []

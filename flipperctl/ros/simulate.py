@@ -83,6 +83,19 @@ class Link:
         return self.sim_time or self.lockstep or self.rate != 1.0
 
 
+def step_of(text: str | None) -> tuple[float, float] | None:
+    """Return time and size of a step of the clock [s], as in ``3:-5``."""
+    if text is None:
+        return None
+    try:
+        at, seconds = map(float, text.split(":"))
+        if 0 <= at < math.inf and math.isfinite(seconds):
+            return at, seconds
+    except ValueError:
+        pass
+    raise RequestError(f"--clock-step {text}: a time and a step in s are allowed, as in 3:-5")
+
+
 @dataclass
 class Numbers:
     """What an episode over topics was like."""

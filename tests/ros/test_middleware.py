@@ -10,22 +10,28 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
 
 from flipperctl.commands.robot import recorded_robot
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
-from flipperctl.runtime.devices import Devices
+from flipperctl.runtime.devices import Devices, read_devices
 from tests.cli.call import call
 from tests.environment import interpreter
+from tests.ros.recorder import recording
 
 pytest.importorskip("cyclonedds", reason="the extra dds is not installed")
 from flipperctl.ros.dds import CycloneWire
@@ -130,7 +136,7 @@ class Ros:
             wire.close()
 
     def episodes(self, process: subprocess.Popen[str]) -> list[dict[str, Any]]:
-        out, err = process.communicate(timeout=1500)
+        out, err = process.communicate(timeout=7200)
         assert process.returncode == 0, err
         rows: list[dict[str, Any]] = json.loads(out)["episodes"]
         return rows
@@ -227,6 +233,71 @@ def test_twenty_episodes_in_lockstep_are_those_in_process(ros: Ros, terrain: str
         assert row["targets"] == in_process(ros.folder, row, f"terrain={terrain}")
 
 
+@pytest.mark.long
+def test_half_an_hour_of_courses_raises_nothing_and_needs_no_more_memory(ros: Ros) -> None:
+    sizes: list[int] = []  # of the node [kB]
+    words = "terrain=course", "--episodes", "40", "--sim-time", "perception.azimuths=60"
+    with ros.node(use_sim_time=True, escape=True) as node:
+        ended = threading.Event()
+
+        def watch() -> None:
+            while not ended.wait(5):
+                status = Path(f"/proc/{node.process.pid}/status").read_text()
+                sizes.append(int(status.partition("VmRSS:")[2].split()[0]))
+
+        watcher = threading.Thread(target=watch)
+        watcher.start()
+        rows = ros.episodes(ros.simulate(*words))
+        ended.set()
+        watcher.join()
+        assert node.process.poll() is None
+        assert "Traceback" not in node.log.read_text()
+    assert sum(row["seconds"] for row in rows) > 1800
+    faults = {name for row in rows for name in row["diagnoses"]}
+    assert not faults & {"inference", "clock_jump", "motion_sign", "motion_scale", "motion_sides"}
+    third = len(sizes) // 3
+    assert max(sizes[-third:]) < max(sizes[third : 2 * third]) + 4000
+
+
+def test_a_bag_of_the_topics_opens_by_the_names_of_ros_2(
+    ros: Ros, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", ros.variables["ROS_DOMAIN_ID"])
+    devices = read_devices(ros.folder / "d.json")
+    wire = CycloneWire("recorder")
+    with recording(tmp_path / "bag", devices) as recorder, ros.node(lockstep=True) as node:
+        for topic, kind in recorder.kinds.items():
+            write = partial(recorder.write, topic)
+            wire.subscribe(topic, kind, lambda message, write=write: write(message, time.time()))
+        node.wait_for("active")
+        # In lockstep clouds are reliable, too; a short course has all that a long one has.
+        short = *FLAT, "--lockstep"
+        (row,) = ros.episodes(ros.simulate(*short))
+        wire.close()
+        counts = dict(recorder.counts)
+    assert row["outcome"] == "reached"
+    assert set(counts) == set(recorder.kinds)
+
+    # By rosbags and by mcap: the names of topics and types are those of ROS 2.
+    with Reader(tmp_path / "bag") as reader:
+        assert {c.topic: c.msgtype for c in reader.connections} == recorder.kinds
+        read = Counter(connection.topic for connection, *_ in reader.messages())
+    assert read == counts
+    (file,) = (tmp_path / "bag").glob("*.mcap")
+    with file.open("rb") as stream:
+        mcap = make_reader(stream)
+        summary = mcap.get_summary()
+        channels = {c.topic: summary.schemas[c.schema_id] for c in summary.channels.values()}
+        assert {topic: schema.name for topic, schema in channels.items()} == recorder.kinds
+        assert {schema.encoding for schema in channels.values()} == {"ros2msg"}
+        assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
+        assert Counter(channel.topic for _, channel, _ in mcap.iter_messages()) == counts
+    words = "bag", f"devices={ros.folder / 'd.json'}", "--json"
+    checked = call("robot", "check", *words, cwd=tmp_path)
+    assert checked.code == 0, checked.err
+    assert json.loads(checked.out)["scans"] == counts["/points"]
+
+
 def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:
     """Messages that are lost, late and in another order cost a hold, and no stop that lasts."""
     link = "--loss", "0.01", "--delay", "0.02", "--jitter", "0.05"
@@ -264,7 +335,7 @@ def test_a_clock_that_steps_stops_the_robot_until_it_is_acknowledged(
     ros: Ros, monkeypatch: pytest.MonkeyPatch, seconds: float
 ) -> None:
     with ros.listener(monkeypatch) as heard, ros.node(**CLOCK) as node:
-        robot = ros.simulate(*FLAT, "--sim-time", "--clock-step", "2", str(seconds))
+        robot = ros.simulate(*FLAT, "--sim-time", "--clock-step", f"2:{seconds}")
         heard.wait_for_fault("clock_jump")
         assert heard.stands()
         assert heard.commands[-1] == 0.0
@@ -276,14 +347,13 @@ def test_a_clock_that_steps_stops_the_robot_until_it_is_acknowledged(
 
 def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(ros: Ros) -> None:
     """Messages that were on their way come late, too."""
-    with network() as (within, switch):
-        ros = replace(ros, within=within)
+    with network() as (here, there, switch):
         # By the clock of the machine, which no link cuts; it may be busy, so messages may be late.
-        ages = {"cloud": 1.5, "attitude": 0.8, "joints": 0.8, "odometry": 1.0}
+        ages = dict.fromkeys(("cloud", "attitude", "joints", "odometry"), 3.0)
         settings = json.loads((ros.folder / "d.json").read_text()) | {"limits": {"ages": ages}}
         (ros.folder / "late.json").write_text(json.dumps(settings))
-        with ros.node(devices=ros.folder / "late.json") as node:
-            robot = ros.simulate(*FLAT)
+        with replace(ros, within=here).node(devices=ros.folder / "late.json") as node:
+            robot = replace(ros, within=there).simulate(*FLAT)
             node.wait_for("driving")
             switch("down")
             time.sleep(6)
@@ -296,23 +366,40 @@ def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(ros: Ros) -
 
 
 @contextmanager
-def network() -> Iterator[tuple[tuple[str, ...], Callable[[str], object]]]:
-    """Yield how a command enters a network of its own, and a switch of its only link."""
+def network() -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Callable[[str], object]]]:
+    """Yield how commands enter two machines, and what turns the switch between them down or up."""
     if shutil.which("unshare") is None or shutil.which("ip") is None:
         pytest.skip("this machine has no unshare or ip")
-    alone = ["unshare", "-Urn"]
-    if subprocess.run([*alone, "true"], capture_output=True).returncode != 0:
+    own, machine = ["unshare", "-Urn"], ["unshare", "-n"]
+    if subprocess.run([*own, "true"], capture_output=True).returncode != 0:
         pytest.skip("this machine allows no network of one's own")
-    holder = subprocess.Popen([*alone, "sleep", "infinity"])
+    holders = [subprocess.Popen([*own, "sleep", "infinity"])]
     time.sleep(0.5)
-    within = ("nsenter", "-t", str(holder.pid), "-U", "-n", "--preserve-credentials")
+    enters = [entering(holders[0].pid)]
+    for _ in range(2):
+        holders.append(subprocess.Popen([*enters[0], *machine, "sleep", "infinity"]))
+        enters.append(entering(holders[-1].pid))
+    time.sleep(0.5)
 
-    def switch(state: str) -> None:
-        subprocess.run([*within, "ip", "link", "set", "lo", state, "multicast", "on"], check=True)
+    def ip(at: int, words: str) -> None:
+        subprocess.run([*enters[at], "ip", *words.split()], check=True)
 
     try:
-        switch("up")
-        yield within, switch
+        ip(0, "link add switch0 type bridge")
+        for at in (1, 2):
+            ip(0, f"link add port{at} type veth peer name eth0 netns {holders[at].pid}")
+            ip(0, f"link set port{at} master switch0 up")
+            ip(at, f"address add 10.9.0.{at}/24 dev eth0")
+            ip(at, "link set eth0 up")
+            ip(at, "link set lo up")
+            ip(at, "route add default dev eth0")
+        ip(0, "link set switch0 up")
+        yield enters[1], enters[2], lambda state: ip(0, f"link set switch0 {state}")
     finally:
-        holder.kill()
-        holder.wait()
+        for holder in holders:
+            holder.kill()
+            holder.wait()
+
+
+def entering(process: int) -> tuple[str, ...]:
+    return ("nsenter", "-t", str(process), "-U", "-n", "--preserve-credentials")

@@ -221,6 +221,7 @@ def test_messages_come_late_in_another_order_or_never() -> None:
     ("words", "text"),
     [
         (["--lockstep", "--rate", "2"], "--lockstep has no rate, delay, jitter, loss or step"),
+        (["--clock-step", "3:x"], "--clock-step 3:x: a time and a step in s are allowed"),
         (["perception.pose=true"], "perception.pose=belts or matched is allowed"),
         (["devices=none.yaml"], "none.yaml cannot be read"),
     ],
