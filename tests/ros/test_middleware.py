@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.runtime.devices import Devices, read_devices
+from flipperctl.runtime.messages import KINDS
+from flipperctl.runtime.recordings import SelfTest, read_lines, setup_by
 from tests.cli.call import call
 from tests.environment import interpreter
 from tests.ros.recorder import recording
@@ -296,6 +299,30 @@ def test_a_bag_of_the_topics_opens_by_the_names_of_ros_2(
     checked = call("robot", "check", *words, cwd=tmp_path)
     assert checked.code == 0, checked.err
     assert json.loads(checked.out)["scans"] == counts["/points"]
+
+
+def test_topics_are_printed_as_the_lines_of_the_self_test(ros: Ros) -> None:
+    file = ros.folder / "d.json"
+    words = "--ros-args", "-p", f"devices:={file}", "-p", "use_sim_time:=true"
+    command = [ros.python, "-m", "flipperctl_ros.messages", *words]
+    robot = ros.simulate(*FLAT, "--sim-time")
+    with subprocess.Popen(command, env=ros.variables, stdout=subprocess.PIPE, text=True) as printer:
+        assert printer.stdout is not None
+        lines = list(islice(printer.stdout, 400))
+        printer.send_signal(signal.SIGINT)
+        printer.stdout.read()
+        assert printer.wait(60) == 0
+    robot.kill()
+    robot.communicate()
+    devices = read_devices(file)
+    parts = [messages for _, messages in read_lines(lines, "topics", devices)]
+    assert {device for part in parts for device in part} == set(KINDS)
+    angles = [part["joints"] for part in parts if "joints" in part]
+    assert max(abs(joints.front) for joints in angles) < 0.1  # they stand level
+    test = SelfTest(setup_by(devices, "rep103"), of_devices=True)
+    for now, messages in read_lines(lines, "topics", devices):
+        test.step(now, **messages)
+    assert not test.refused
 
 
 def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:

@@ -18,5 +18,7 @@ setup(
     ],
     install_requires=["setuptools"],  # flipperctl itself is installed by pip, see README.md
     zip_safe=True,
-    entry_points={"console_scripts": [f"node = {NAME}.node:main"]},
+    entry_points={
+        "console_scripts": [f"node = {NAME}.node:main", f"messages = {NAME}.messages:main"]
+    },
 )
