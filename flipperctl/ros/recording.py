@@ -22,6 +22,7 @@ from flipperctl.core.lidar.body import mounting
 from flipperctl.core.lidar.ground import Lidar
 from flipperctl.errors import RequestError
 from flipperctl.ros.checking import Checked, examine, tells
+from flipperctl.ros.messages import quaternion
 from flipperctl.ros.reading import (
     Pose,
     Transforms,
@@ -218,6 +219,11 @@ def read_recording(path: Path, names: Names, *, clouds_alone: bool = False) -> R
             else found_devices(path, reader, names, remarks)
         )
         transforms = read_transforms(path, reader)
+        frames = (m.header.frame_id.lstrip("/") for *_, m in messages(reader, [topics.clouds]))
+        frame, at = next(frames, names.base), names.mount
+        if at is not None and frame != names.base and not transforms.has(frame):
+            turn = np.array(quaternion(mounting(at.axis)))
+            transforms.add(names.base, frame, None, Pose(np.array([at.x, 0.0, at.z]), turn))
         times = times_of(path, reader, topics.clouds)
         checked = examine(reader, names, transforms, topics)
         checked.require(path)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from flipperctl.core.lidar.body import Mount
 from flipperctl.errors import RequestError
 from flipperctl.ros.episode import BELTS
 from flipperctl.ros.messages import BASE, JOINTS, ODOM
@@ -46,6 +47,8 @@ class Names:
     """Angle of 1 in a message [rad]."""
     belt_scale: float = 1.0
     """Speed of the belts of 1 in a message [m/s]."""
+    mount: Mount | None = None
+    """Where the LiDAR is, if the bag has no transform of its frame."""
     likely: Sequence[str] = ()
     """Topics that are taken where several could be meant."""
 
@@ -61,6 +64,7 @@ class Names:
             "signs": joints.signs,
             "scale": joints.scale,
             "belt_scale": devices.belts.scale,
+            "mount": devices.mount,
             "likely": (topics.clouds, topics.imu, topics.belts),
         }
         return cls(**(names | {name: value for name, value in others.items() if value is not None}))

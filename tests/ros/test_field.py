@@ -39,8 +39,8 @@ class Driven(Joined):
         if topic == "/clock":
             self.now = message.clock.sec + 1e-9 * message.clock.nanosec
             self.begun = self.now if math.isnan(self.begun) else self.begun
-        # The place of the LiDAR is told before the clock runs.
-        self.recorder.write(topic, message, 1_000_000.0 if math.isnan(self.now) else self.now)
+        if topic != "/tf_static":  # the file of devices tells the place of the LiDAR
+            self.recorder.write(topic, message, 1_000_000.0 if math.isnan(self.now) else self.now)
         if topic == "simulation/tick" and self.by_hand:
             self.node.joy(self.now, self.joy(self.now - self.begun))
         super().sent(topic, message)
