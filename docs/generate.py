@@ -26,9 +26,12 @@ from flipperctl.cli.main import app
 from flipperctl.config import EvalConfig
 from flipperctl.config.describe import Field, fields
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation.benchmark import find_benchmark, read_result, scores
 from flipperctl.export.metadata import describe_observation
 from flipperctl.plugging import plugins
 from flipperctl.requests import compose
+from flipperctl.text.show import markdown
+from flipperctl.views.benchmark import document, table
 
 HEADINGS: Mapping[str, str] = {
     "terrain": "Terrains",
@@ -152,6 +155,15 @@ def glossary() -> str:
     return "\n".join(_rows(("word", "meaning"), GLOSSARY.items()))
 
 
+def leaderboard() -> str:
+    """Return the scores of the result files of the repository, best first."""
+    plugins.load()
+    folder = Path(__file__).parent / "results" / "benchmark"
+    results = [read_result(file) for file in sorted(folder.glob("*.json"))]
+    methods = [document(r, scores(r, find_benchmark(r.benchmark))) for r in results]
+    return "\n".join(markdown(table(methods, scenes=False)))
+
+
 TEXTS: Mapping[str, Callable[[], str]] = {
     "glossary": glossary,
     "settings": settings,
@@ -161,6 +173,7 @@ TEXTS: Mapping[str, Callable[[], str]] = {
     "actions": actions,
     "observation": observation,
     "measures": measures,
+    "leaderboard": leaderboard,
 }
 """Texts that pages can ask for."""
 

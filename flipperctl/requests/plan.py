@@ -131,6 +131,13 @@ def make_plan(
     return Plan(tuple(entries), title, with_best_known=baseline != "none")
 
 
+def entries_of(
+    entrants: Sequence[NamedPolicy], sections: Sequence[Section], tell: Tell
+) -> list[Entry]:
+    """Return an entry for each policy on each of the sections; see ``make_plan``."""
+    return _entries(entrants, (), sections, tell, engines=False, returns=False)
+
+
 def _section(name: str, scene: Requests, settings: Requests) -> Section:
     """Return a scene of a suite with the user's settings, which replace its own of the same keys.
 

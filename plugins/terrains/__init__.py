@@ -1,5 +1,5 @@
 """Built-in terrains."""
 
-from . import combinators, mixes, obstacles, profile_file, rough, rows, stairs
+from . import combinators, mixes, obstacles, profile_file, rough, rows, stairs, worn
 
-__all__ = ["combinators", "mixes", "obstacles", "profile_file", "rough", "rows", "stairs"]
+__all__ = ["combinators", "mixes", "obstacles", "profile_file", "rough", "rows", "stairs", "worn"]

@@ -1,0 +1,1 @@
+"""Versions of the benchmark: frozen scenes with fixed prices."""

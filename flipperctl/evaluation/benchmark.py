@@ -1,0 +1,250 @@
+"""The benchmark: frozen scenes with fixed prices, and scores relative to each scene's best rule.
+
+In: a file of scenes, and the episodes of a method's policies and of the rules on them. Out: a
+result file that others can verify. A scene's score is the mean cost of the policy's episodes as a
+fraction of the rule's: the pitch variation of a crossing, or the scene's price for a failure. No
+other method has a part in it. The seeds of an edition follow from its salt.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from flipperctl.api import FloatArray, Outcome
+from flipperctl.config import strict_yaml
+from flipperctl.config.presets import presets
+from flipperctl.errors import ConfigError, RequestError
+from flipperctl.evaluation.rows import DIGEST, Episodes
+from flipperctl.evaluation.seeds import mean_interval
+from flipperctl.evaluation.statistics import Interval
+from flipperctl.text.messages import close_match, explain
+
+MEASURE = "pitch_variation_100hz"
+"""Measure of a crossing's cost [rad]."""
+_DIGITS = 16  # hexadecimal digits of the hashes in a file
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Scene(_Frozen):
+    """Ground and conditions that are played with seeds of their own."""
+
+    words: str = Field(description="settings, as key=value [-]")
+    strongest: str = Field(description="rule whose mean cost is 1 [-]")
+    price: float = Field(gt=0, description="cost of an episode that is not reached [rad]")
+
+
+class Track(_Frozen):
+    """Scenes that make one score."""
+
+    episodes: int = Field(ge=5, description="episodes of each scene [-]")
+    scenes: dict[str, Scene] = Field(min_length=1)
+
+
+class Benchmark(_Frozen):
+    """A version of the benchmark. Any change of its file makes another version."""
+
+    about: str
+    tracks: dict[str, Track] = Field(min_length=1)
+
+    @property
+    def digest(self) -> str:
+        """Hash of all scenes and prices."""
+        return _hash(self.model_dump())
+
+
+def find_benchmark(name: str) -> Benchmark:
+    """Return a version of the benchmark by its name."""
+    known = presets("benchmark")
+    if name not in known:
+        raise ConfigError(
+            f"benchmark: there is no version {name!r}{close_match(name, known)}; "
+            f"known: {', '.join(known)}"
+        )
+    where = f"benchmark {name}"
+    try:
+        return Benchmark.model_validate(strict_yaml.read(known[name], where))
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {explain(error, '', Benchmark)}") from error
+
+
+def scene_seed(version: str, salt: str, track: str, scene: str) -> int:
+    """Return the seed of a scene's episodes; the public edition has an empty ``salt``."""
+    return int(_hash([version, salt, track, scene])[:7], 16)
+
+
+def edition(salt: str) -> str:
+    """Return what a result file states of its edition: a hash of the salt, or ``public``."""
+    return _hash(["edition", salt]) if salt else "public"
+
+
+def _hash(document: object) -> str:
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
+
+
+class Played(_Frozen):
+    """The episodes of one policy on a scene, in their order."""
+
+    outcomes: tuple[Outcome, ...]
+    pitch_variation_100hz: tuple[float | None, ...]
+    """θ̂_R at 100 Hz [rad]."""
+    digests: tuple[str, ...]
+    """Beginnings of the SHA-256 of all actions and poses."""
+
+    @classmethod
+    def of(cls, episodes: Episodes) -> Self:
+        """Take what counts from rows of episodes."""
+        return cls(
+            outcomes=tuple(row["outcome"] for row in episodes),
+            pitch_variation_100hz=tuple(row[MEASURE] for row in episodes),
+            digests=tuple(row[DIGEST][:_DIGITS] for row in episodes),
+        )
+
+    def costs(self, price: float) -> FloatArray:
+        """Return the cost of each episode, (E,) [rad]."""
+        reached = [outcome == Outcome.REACHED for outcome in self.outcomes]
+        return np.where(reached, np.array(self.pitch_variation_100hz, dtype=float), price)
+
+
+class SceneResult(_Frozen):
+    """What a method and the scene's rule did on equal episodes."""
+
+    track: str
+    scene: str
+    policies: tuple[Played, ...]
+    """Of each training seed, in the order of ``BenchmarkResult.policies``."""
+    rule: Played
+
+    def ratios(self, price: float) -> FloatArray:
+        """Return numbers whose mean is the ratio of the mean costs, (S, E).
+
+        The ratio is linearised about its value, so that they vary as it does (delta method).
+        """
+        costs = np.array([policy.costs(price) for policy in self.policies])
+        rule = self.rule.costs(price)
+        ratio = costs.mean(axis=1, keepdims=True) / rule.mean()
+        linear: FloatArray = ratio + (costs - ratio * rule) / rule.mean()
+        return linear
+
+
+class PolicyEntry(_Frozen):
+    """A policy of a method."""
+
+    label: str
+    digest: str
+    """Hash of its content, as stored episodes have it."""
+    training_seed: int | None = None
+
+
+class BenchmarkResult(_Frozen):
+    """A method's result file, without times or machines: equal plays give equal files."""
+
+    format: Literal[1] = 1
+    benchmark: str
+    """Name of the version."""
+    scenes_hash: str
+    """Hash of the scenes that were played."""
+    edition: str
+    method: str
+    policies: tuple[PolicyEntry, ...]
+    versions: dict[str, str]
+    scenes: tuple[SceneResult, ...]
+    content_hash: str = ""
+    """Hash of everything else in the file."""
+
+    def sealed(self) -> Self:
+        """Return the result with the hash of its content."""
+        return self.model_copy(update={"content_hash": self._content()})
+
+    def _content(self) -> str:
+        return _hash(self.model_dump(mode="json", exclude={"content_hash"}))
+
+    def check(self, where: Path, version: str, benchmark: Benchmark) -> None:
+        """Refuse a file that was changed, or that belongs to other scenes."""
+        if self.benchmark != version:
+            raise RequestError(f"{where}: it is of version {self.benchmark}; give its --version")
+        if self.content_hash != self._content():
+            raise RequestError(f"{where}: its content was changed after it was written")
+        if self.scenes_hash != benchmark.digest:
+            raise RequestError(f"{where}: its scenes are not those of benchmark {self.benchmark}")
+
+
+def read_result(file: Path) -> BenchmarkResult:
+    """Read a result file."""
+    try:
+        return BenchmarkResult.model_validate_json(file.read_bytes())
+    except OSError as error:
+        raise RequestError(f"{file}: it cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        text = explain(error, "", BenchmarkResult)
+        raise RequestError(f"{file}: it is no result of a benchmark: {text}") from error
+
+
+@dataclass(frozen=True)
+class Score:
+    """The score of a track or of a scene, and what it is made of."""
+
+    ratio: Interval
+    """Cost as a fraction of the rule's; below 1 is better."""
+    success: float
+    """Fraction of the episodes that were reached, 0 to 1."""
+    rule: str
+    """The rule of a scene; empty for a track."""
+
+
+def scores(result: BenchmarkResult, benchmark: Benchmark) -> dict[tuple[str, str], Score]:
+    """Return the score of each track, under an empty scene, and of its scenes."""
+    table: dict[tuple[str, str], Score] = {}
+    for track, played in _by_track(result.scenes).items():
+        ratios: dict[str, FloatArray] = {}
+        successes: list[float] = []
+        for part in played:
+            scene = benchmark.tracks[track].scenes[part.scene]
+            ratios[part.scene] = part.ratios(scene.price)
+            outcomes = [outcome for policy in part.policies for outcome in policy.outcomes]
+            successes.append(float(np.mean([o == Outcome.REACHED for o in outcomes])))
+        # A track's score is the mean over its scenes, with seeds and episodes in its interval.
+        table[track, ""] = Score(mean_interval(ratios), float(np.mean(successes)), "")
+        for (name, values), success in zip(ratios.items(), successes, strict=True):
+            rule = benchmark.tracks[track].scenes[name].strongest
+            table[track, name] = Score(mean_interval({name: values}), success, rule)
+    return table
+
+
+def _by_track(scenes: Sequence[SceneResult]) -> Mapping[str, list[SceneResult]]:
+    tracks: dict[str, list[SceneResult]] = {}
+    for scene in scenes:
+        tracks.setdefault(scene.track, []).append(scene)
+    return tracks
+
+
+def sample(result: BenchmarkResult, share: float, rng: np.random.Generator) -> list[list[int]]:
+    """Return the episodes of each scene that a verification plays again, at least one."""
+    chosen = []
+    for scene in result.scenes:
+        count = len(scene.rule.outcomes)
+        size = max(1, min(count, round(share * count)))
+        chosen.append(sorted(rng.choice(count, size, replace=False).tolist()))
+    return chosen
+
+
+def difference(stated: Played, index: int, row: Mapping[str, Any]) -> str:
+    """Return how an episode that was played again differs from a file's; empty if it is equal."""
+    now = Played.of(Episodes((dict(row),)))
+    changes = [
+        f"{name} {getattr(stated, name)[index]}, now {getattr(now, name)[0]}"
+        for name in Played.model_fields
+        if getattr(stated, name)[index] != getattr(now, name)[0]
+    ]
+    return "; ".join(changes)

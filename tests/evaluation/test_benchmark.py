@@ -1,0 +1,61 @@
+"""Scores of the benchmark, and what its files promise."""
+
+import numpy as np
+import pytest
+
+from flipperctl.api import Outcome
+from flipperctl.config.presets import presets
+from flipperctl.evaluation import benchmark as frozen
+
+
+def _played(costs: list[float], failed: list[bool]) -> frozen.Played:
+    outcomes = tuple(Outcome.STUCK if lost else Outcome.REACHED for lost in failed)
+    return frozen.Played(
+        outcomes=outcomes, pitch_variation_100hz=tuple(costs), digests=("0",) * len(costs)
+    )
+
+
+def test_every_version_has_scenes_of_its_own_seeds_and_a_rule_that_exists() -> None:
+    for name in presets("benchmark"):
+        version = frozen.find_benchmark(name)
+        scenes = [
+            (track, scene) for track, content in version.tracks.items() for scene in content.scenes
+        ]
+        public = {frozen.scene_seed(name, "", *scene) for scene in scenes}
+        kept = {frozen.scene_seed(name, "a judge's word", *scene) for scene in scenes}
+        assert len(public | kept) == 2 * len(scenes)
+
+
+def test_a_failure_costs_the_scenes_price_and_a_rule_against_itself_is_exactly_one() -> None:
+    rule = _played([1.0, 2.0, 3.0, 0.5, 1.5], [False, False, True, False, False])
+    np.testing.assert_array_equal(rule.costs(7.0), [1.0, 2.0, 7.0, 0.5, 1.5])
+    scene = frozen.SceneResult(track="t", scene="s", policies=(rule,), rule=rule)
+    np.testing.assert_allclose(scene.ratios(7.0), 1.0)
+
+
+@pytest.mark.parametrize("seeds", [1, 5])
+def test_the_interval_of_a_score_holds_the_truth_where_few_episodes_fail(seeds: int) -> None:
+    # Costs of equal ground go together; 3 % of the episodes cost a price far beyond them.
+    rng, price, size, scenes = np.random.default_rng(5), 7.0, 30, 8
+    effects = (
+        rng.normal(0, 0.1, 400 * seeds).reshape(400, seeds) if seeds > 1 else np.zeros((400, 1))
+    )
+    truth = (0.97 * 0.7 * np.exp(0.125) + 0.03 * price) / (0.97 * np.exp(0.125) + 0.03 * price)
+    held = 0
+    for effect in effects:
+        ratios = {}
+        for scene in range(scenes):
+            ground = rng.lognormal(0.0, 0.5, size)
+            own = [ground * 0.7 * (1 + e) for e in effect]
+            lost = rng.random((seeds, size)) < 0.03
+            policies = tuple(
+                _played(c.tolist(), f.tolist()) for c, f in zip(own, lost, strict=True)
+            )
+            rule = _played(ground.tolist(), (rng.random(size) < 0.03).tolist())
+            part = frozen.SceneResult(track="t", scene=str(scene), policies=policies, rule=rule)
+            ratios[part.scene] = part.ratios(price)
+        interval = frozen.mean_interval(ratios)
+        assert interval.low is not None
+        assert interval.high is not None
+        held += interval.low <= truth <= interval.high
+    assert held / len(effects) >= 0.93
