@@ -30,7 +30,7 @@ from flipperctl import __version__
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.evaluation.plan import is_best_known
-from flipperctl.evaluation.seeds import PRICE, SeedSamples, failure_prices
+from flipperctl.evaluation.seeds import PRICE, SeedSamples
 from flipperctl.evaluation.statistics import interval
 from flipperctl.process import entry
 from flipperctl.text.files import write_bytes
@@ -175,10 +175,9 @@ def shipped_rows(folders: Sequence[Path], runs: Path) -> dict[str, list[dict[str
             if scene.method == name and (known is None or scene.episodes > known.episodes):
                 largest[scene.hash] = scene
         whole[name] = list(largest.values())
-    prices = failure_prices(_method([scene]) for scene in scenes)
     against = whole.get(AGAINST)
-    overview = [_overview(name, found, against, prices) for name, found in whole.items()]
-    return {"overview": overview, "scenes": [scene.row(prices) for scene in scenes]}
+    overview = [_overview(name, found, against) for name, found in whole.items()]
+    return {"overview": overview, "scenes": [scene.row() for scene in scenes]}
 
 
 @dataclass(frozen=True)
@@ -198,12 +197,9 @@ class _Scene:
         """Number of episodes of a training seed."""
         return int(self.reached.shape[1])
 
-    def row(self, prices: Mapping[str, float]) -> dict[str, Any]:
-        """Return plain data; means are over the episodes that were reached.
-
-        ``prices``: score of an episode that is not reached, by hash.
-        """
-        scores = method_row(_method([self]), prices)
+    def row(self) -> dict[str, Any]:
+        """Return plain data; means are over the episodes that were reached."""
+        scores = method_row(_method([self]), PRICE)
         reached = {name: self.values[name][self.reached] for name in (_SCORE, _DECISIONS, _TIME)}
         return {
             **{name: getattr(self, name) for name in ("case", "terrain", "hash", "engine")},
@@ -348,10 +344,9 @@ def _overview(
     name: str,
     scenes: Sequence[_Scene],
     against: Sequence[_Scene] | None,
-    prices: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return the row of a method over all scenes, with its difference on common episodes."""
-    found = method_row(_method(scenes), prices)
+    found = method_row(_method(scenes), PRICE)
     row: dict[str, Any] = {
         "method": name,
         "seeds": found["seeds"],
@@ -365,7 +360,7 @@ def _overview(
     }
     if against is not None and name != AGAINST:
         other, ours = _method(against, scenes), _method(scenes, against)
-        row["difference"] = _ends(difference(ours, other, prices)["score"])
+        row["difference"] = _ends(difference(ours, other, PRICE)["score"])
     return row
 
 

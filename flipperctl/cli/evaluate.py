@@ -271,7 +271,7 @@ def compare(
         str, typer.Option(metavar="NAME", help="The measure of the score; less is better.")
     ] = "pitch_variation_100hz",
     price: Annotated[
-        float | None, typer.Option(metavar="X", help="Least score of a failed episode [6.283].")
+        float | None, typer.Option(metavar="X", help="Score of a failed episode [6.283].")
     ] = None,
     name: Annotated[
         list[str] | None,
@@ -285,9 +285,9 @@ def compare(
 ) -> None:
     """Compare methods over their training seeds, from folders that eval --output wrote.
 
-    A failed episode counts as the roughest crossing of its scene, but --price at least. Compare
-    every pair with --against all, and write the table for LaTeX with --output. Figures of the same
-    folders are drawn by flipperctl plot.
+    A failed episode counts --price, and a crossing at most that, whatever the other methods do.
+    Compare every pair with --against all, and write the table for LaTeX with --output. Figures of
+    the same folders are drawn by flipperctl plot.
 
     [bold]Examples[/]
 

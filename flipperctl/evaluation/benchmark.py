@@ -114,7 +114,8 @@ class Played(_Frozen):
     def costs(self, price: float) -> FloatArray:
         """Return the cost of each episode, (E,) [rad]."""
         reached = [outcome == Outcome.REACHED for outcome in self.outcomes]
-        return np.where(reached, np.array(self.pitch_variation_100hz, dtype=float), price)
+        values = np.array(self.pitch_variation_100hz, dtype=float)
+        return np.where(reached, np.minimum(values, price), price)
 
 
 class SceneResult(_Frozen):

@@ -6,6 +6,7 @@ the candidates, or one ``RecordedEpisode`` after the other, played in this proce
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,7 +22,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import InterruptedRunError, PluginFailedError, RequestError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.seeds import PRICE, Scores, SeedSamples, failure_prices
+from flipperctl.evaluation.seeds import PRICE, Scores, SeedSamples
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.rollout.episode import Decision, EpisodeRecorder, play, training_seed
 
@@ -172,12 +173,11 @@ class Playing:
         played = list(self.player.play_many(requests, label))
         if len(played) < len(requests):
             raise InterruptedRunError("interrupted")
-        # A failure costs what the roughest crossing by any candidate does.
+        # A failure costs a whole turn; a return counts as it is.
+        price = math.inf if self.objective == "reward" else PRICE
         count = len(self.entries)
         parts = [played[at : at + count] for at in range(0, len(played), count)]
-        samples = [SeedSamples("", *self._samples(scenes)) for scenes in parts]
-        prices = failure_prices(samples)
-        return [sample.scores(prices) for sample in samples]
+        return [SeedSamples("", *self._samples(scenes)).scores(price) for scenes in parts]
 
     def _samples(self, scenes: Sequence[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return values and whether the finish was reached, by scene; all count for a reward."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from flipperctl.evaluation.statistics import (
 )
 
 PRICE = 2 * math.pi
-"""Least price of an episode that is not reached [rad]: the pitch variation of one whole turn.
+"""Price of an episode that is not reached [rad]: the pitch variation of one whole turn.
 
 It is a choice, not a measurement: 1 % of failures weighs as much as 0.06 rad.
 """
@@ -43,31 +43,20 @@ class SeedSamples:
         """Number of training seeds."""
         return len(next(iter(self.values.values())))
 
-    def scores(self, prices: Mapping[str, float]) -> dict[str, FloatArray]:
-        """Return the scores by scene, (S, E): the measure, or the scene's price if not reached."""
+    def scores(self, price: float) -> dict[str, FloatArray]:
+        """Return the scores by scene, (S, E): the measure, or the price if not reached.
+
+        A crossing costs the price at most, so that failing never pays. The price is the same
+        whatever other methods do, so that no other method changes a score.
+        """
         return {
-            scene: np.where(self.reached[scene], values, prices[scene])
+            scene: np.where(self.reached[scene], np.minimum(values, price), price)
             for scene, values in self.values.items()
         }
 
     def successes(self) -> dict[str, FloatArray]:
         """Return 1 for reached and 0 for other episodes, by scene, (S, E)."""
         return {scene: reached.astype(np.float64) for scene, reached in self.reached.items()}
-
-
-def failure_prices(methods: Iterable[SeedSamples], least: float = PRICE) -> dict[str, float]:
-    """Return the price of an episode that is not reached, by scene.
-
-    It is what the roughest crossing of the scene by any of the methods costs, or ``least`` if that
-    is more, so that failing never pays.
-    """
-    prices: dict[str, float] = {}
-    for method in methods:
-        # The roughest crossing by any method sets the price of a failure on its scene.
-        for scene, reached in method.reached.items():
-            roughest = float(method.values[scene][reached].max(initial=least))
-            prices[scene] = max(roughest, prices.get(scene, least))
-    return prices
 
 
 def means(scores: Mapping[str, FloatArray]) -> FloatArray:

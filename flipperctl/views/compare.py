@@ -1,15 +1,14 @@
 """Methods over their training seeds: scores that count failures, and their differences.
 
-In: folders of ``eval --output``, a measure and the least price of a failed episode. Out: a
+In: folders of ``eval --output``, a measure and the price of a failed episode. Out: a
 document and tables.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -23,7 +22,6 @@ from flipperctl.evaluation.seeds import (
     SeedSamples,
     better_interval,
     difference_interval,
-    failure_prices,
     improvement,
     interquartile_mean,
     mean_interval,
@@ -68,13 +66,8 @@ class Comparison:
     measure: str
     unit: str
     price: float
-    """Least score of an episode that is not reached, in the unit of the measure."""
+    """Score of an episode that is not reached, and the largest of others, in the measure's unit."""
     against: str
-
-    @cached_property
-    def prices(self) -> dict[str, float]:
-        """Score of an episode that is not reached, by scene."""
-        return failure_prices(self.stored.methods, self.price)
 
     @property
     def label(self) -> str:
@@ -125,7 +118,7 @@ def compare(
 def document(comparison: Comparison) -> Document:
     """Return the methods and their differences as plain data."""
     methods = comparison.stored.methods
-    rows = [method_row(method, comparison.prices) for method in methods]
+    rows = [method_row(method, comparison.price) for method in methods]
     by_name = dict(zip([method.name for method in methods], rows, strict=True))
     # Every pair of methods, or each against the chosen one
     pairs = [
@@ -138,7 +131,7 @@ def document(comparison: Comparison) -> Document:
             else baseline.name == comparison.against and other != at
         )
     ]
-    gaps = [difference(*pair, comparison.prices) for pair in pairs]
+    gaps = [difference(*pair, comparison.price) for pair in pairs]
     # Tests that are shown together are corrected together.
     for key in ("p", "p_success"):
         for gap, p in zip(gaps, holm([gap[key] for gap in gaps]), strict=True):
@@ -151,29 +144,27 @@ def document(comparison: Comparison) -> Document:
     return {
         "measure": comparison.measure,
         "price": comparison.price,
-        "prices": comparison.prices,
         "episodes": dict(comparison.stored.episodes),
         "notices": list(comparison.stored.notices),
         "methods": rows,
     }
 
 
-def method_row(method: SeedSamples, prices: Mapping[str, float]) -> Document:
+def method_row(method: SeedSamples, price: float) -> Document:
     """Return the success and the scores of a method, not compared with another one.
 
-    ``prices``: score of an episode that is not reached, by scene.
+    ``price``: score of an episode that is not reached.
     """
-    scores = method.scores(prices)
+    scores = method.scores(price)
     reached = np.concatenate(
         [values[method.reached[scene]] for scene, values in method.values.items()]
     )
     rng = np.random.default_rng(_SEED)
     # No score lies outside the least value and the price, so that no interval should either.
     least = min(0.0, *(float(values.min()) for values in scores.values()))
-    most = max(prices[scene] for scene in scores)
 
-    def inside(interval: Interval, most: float = most) -> Document:
-        return within(interval, least, most).to_dict()
+    def inside(interval: Interval) -> Document:
+        return within(interval, least, price).to_dict()
 
     return {
         "method": method.name,
@@ -183,18 +174,18 @@ def method_row(method: SeedSamples, prices: Mapping[str, float]) -> Document:
         "score": inside(mean_interval(scores)),
         "iqm": inside(statistic_interval(scores, interquartile_mean, rng)),
         "reached_mean": float(reached.mean()) if reached.size else None,
-        "by_scene": {k: inside(mean_interval({k: v}), prices[k]) for k, v in scores.items()},
+        "by_scene": {k: inside(mean_interval({k: v})) for k, v in scores.items()},
         "comparison": None,
     }
 
 
-def difference(method: SeedSamples, other: SeedSamples, prices: Mapping[str, float]) -> Document:
+def difference(method: SeedSamples, other: SeedSamples, price: float) -> Document:
     """Return a method minus another one, on the same episodes, without corrected p-values.
 
     ``improvement``: probability that a training seed has a better mean score on a scene than one of
     the other method, averaged over scenes (rliable's); ``better``: the same of single episodes.
     """
-    scores, baseline = method.scores(prices), other.scores(prices)
+    scores, baseline = method.scores(price), other.scores(price)
     score, p = difference_interval(scores, baseline)
     if score.low is not None and score.low == score.high:
         score, p = Interval(score.mean, None, None), 1.0
@@ -233,12 +224,8 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
             success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
             texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
             gaps.append(gap | {"name": name, "other": called[gap["against"]], **texts})
-    # On some scenes, a failure counts more than the least price.
-    rough = [
-        f"{k} {price:.4g}" for k, price in compared["prices"].items() if price > compared["price"]
-    ]
-    more = f", or its scene's roughest crossing: {', '.join(rough)}" if rough else ""
-    notes = [f"Score: {label}; a failed episode counts {compared['price']:.4g}{more}."]
+    price = f"{compared['price']:.4g}"
+    notes = [f"Score: {label}; a failed episode counts {price}, and a crossing at most that."]
     yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
     if gaps:
         yield Table(_GAPS, gaps, "Differences on the same episodes; a smaller score is better")

@@ -146,9 +146,9 @@ def differences(
     Scores count failures, as in ``compare``; seeds are averaged within an episode.
     """
     (other,) = (m for m in comparison.stored.methods if m.name == against)
-    baseline = other.scores(comparison.prices)
+    baseline = other.scores(comparison.price)
     for method in (m for label in called for m in comparison.stored.methods if m.name == label):
-        for scene, scores in method.scores(comparison.prices).items():
+        for scene, scores in method.scores(comparison.price).items():
             gap, _ = difference_interval({scene: scores}, {scene: baseline[scene]})
             yield {
                 "method": called[method.name],
@@ -173,12 +173,11 @@ def profiles(
         for m in methods
         for scene, reached in m.reached.items()
     ]
-    levels = np.linspace(0.0, 1.02 * (max(largest) or max(comparison.prices.values())), _LEVELS)
+    levels = np.linspace(0.0, 1.02 * (max(largest) or comparison.price), _LEVELS)
     # A failure is below no level, so that a curve ends at the success rate.
-    never = dict.fromkeys(comparison.prices, math.inf)  # reached at no level
     curves = {}
     for method in methods:
-        scores = method.scores(never)
+        scores = method.scores(math.inf)
         share = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
         below = {k: (v[:, :, None] <= levels).astype(np.float64) for k, v in scores.items()}
         drawn = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))

@@ -36,7 +36,7 @@ def table(request: Request, tuned: Tuned) -> Table:
     ]
 
     # What the scores say of the search
-    measured = f"pitch variation [rad], a failed episode at least {PRICE:.2f}"
+    measured = f"pitch variation [rad], a failed episode {PRICE:.2f}"
     measured = measured if request.objective == "pitch" else "minus the reward [-]"
     old, new, change = (
         interval_text(score.to_dict(), 3, sign=sign)

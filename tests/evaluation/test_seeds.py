@@ -7,11 +7,9 @@ import pytest
 from scipy.stats import t as student
 
 from flipperctl.evaluation.seeds import (
-    PRICE,
     SeedSamples,
     better_interval,
     difference_interval,
-    failure_prices,
     improvement,
     interquartile_mean,
     mean_interval,
@@ -176,15 +174,11 @@ def test_the_profile_counts_what_is_above_a_level() -> None:
     assert profile(np.array([[1.0, 2.0], [3.0, 1.0]]), levels) == pytest.approx([1.0, 0.5, 0.25])
 
 
-def test_failing_costs_what_the_roughest_crossing_of_the_scene_does() -> None:
-    """Of any method; what rocks more and fails is no crossing."""
+def test_failing_costs_the_price_and_a_crossing_at_most_that() -> None:
+    """What rocks more and fails is no crossing."""
     values = {"stair": np.array([[1.0, 9.0], [7.0, 2.0]]), "step": np.array([[0.5], [0.5]])}
     reached = {"stair": np.array([[True, False], [True, True]]), "step": np.ones((2, 1), bool)}
     method = SeedSamples("m", values, reached)
-    prices = failure_prices([method])
-    assert prices == {"stair": 7.0, "step": PRICE}
-    assert method.scores(prices)["stair"].tolist() == [[1.0, 7.0], [7.0, 2.0]]
-    assert means(method.scores(prices)).tolist() == [[4.0, 0.5], [4.5, 0.5]]
-    rougher = SeedSamples("r", {"stair": np.array([[8.0, 1.0]])}, {"stair": np.ones((1, 2), bool)})
-    assert failure_prices([rougher, method], 7.5) == {"stair": 8.0, "step": 7.5}
+    assert method.scores(6.0)["stair"].tolist() == [[1.0, 6.0], [6.0, 2.0]]
+    assert means(method.scores(8.0)).tolist() == [[4.5, 0.5], [4.5, 0.5]]
     assert method.seeds == 2

@@ -143,7 +143,7 @@ class Played:
             )
 
 
-def test_a_failure_costs_the_roughest_crossing_and_a_reward_counts_as_it_is() -> None:
+def test_a_failure_costs_a_turn_as_a_rougher_crossing_does_and_a_reward_counts_as_it_is() -> None:
     entry, fields = Entry(EvalConfig(terrain={"name": "flat"}), OKADA), [{"far": 0.5}, {"far": 0.6}]
 
     def costs(objective: Any) -> list[list[float]]:
@@ -151,7 +151,7 @@ def test_a_failure_costs_the_roughest_crossing_and_a_reward_counts_as_it_is() ->
         playing = Playing([entry], objective, 0, player, lambda size: None)
         return [score["0"][0].tolist() for score in playing(fields, 0, 2, "")]
 
-    assert costs("pitch") == [[1.5, 7.0], [7.0, 2.0]]
+    assert costs("pitch") == [[1.5, PRICE], [PRICE, 2.0]]
     assert costs("reward") == [[-15.0, -2.0], [-70.0, -20.0]]
 
 
