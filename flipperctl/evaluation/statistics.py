@@ -27,6 +27,17 @@ class Interval:
         """Return the numbers by name."""
         return asdict(self)
 
+    @property
+    def distances(self) -> tuple[float, float]:
+        """Distances of the mean to both ends; 0 without an interval."""
+        low, high = (self.mean if end is None else end for end in (self.low, self.high))
+        return self.mean - low, high - self.mean
+
+    def scaled(self, factor: float) -> Interval:
+        """Return the interval in another unit, of which ``factor``, at least 0, make one."""
+        ends = (None if end is None else factor * end for end in (self.low, self.high))
+        return Interval(factor * self.mean, *ends)
+
 
 @dataclass(frozen=True)
 class PairedSuccess(Interval):
@@ -83,7 +94,7 @@ def mean_p(values: Sequence[float]) -> float:
     return 2 * float(stdtr(len(array) - 1, -ratio))
 
 
-def proportion(count: int, total: int) -> Interval:
+def proportion(count: float, total: int) -> Interval:
     """Return the rate ``count / total`` with its 95 % score interval (Wilson 1927).
 
     It exists for any number of outcomes: five of five give a lower end of 0.566.
@@ -106,11 +117,8 @@ def mean_of(parts: Sequence[Interval]) -> Interval:
     which nothing varies, leave a width. Every part has both ends.
     """
     # Distances to the ends add as squares, below and above apart.
-    means, lows, highs = (
-        np.array([getattr(part, name) for part in parts]) for name in ("mean", "low", "high")
-    )
-    mean = float(means.mean())
-    below, above = (float(np.linalg.norm(means - ends)) for ends in (lows, highs))
+    mean = float(np.mean([part.mean for part in parts]))
+    below, above = np.linalg.norm([part.distances for part in parts], axis=0).tolist()
     return Interval(mean, mean - below / len(parts), mean + above / len(parts))
 
 

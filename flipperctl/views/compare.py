@@ -24,8 +24,8 @@ from flipperctl.evaluation.seeds import (
     difference_interval,
     improvement,
     interquartile_mean,
-    mean_interval,
     means,
+    score_interval,
     statistic_interval,
     success_difference,
     success_interval,
@@ -171,10 +171,10 @@ def method_row(method: SeedSamples, price: float) -> Document:
         "seeds": method.seeds,
         "trained": method.trained,
         "success": success_interval(method).to_dict(),
-        "score": inside(mean_interval(scores)),
+        "score": inside(score_interval(method, price)),
         "iqm": inside(statistic_interval(scores, interquartile_mean, rng)),
         "reached_mean": float(reached.mean()) if reached.size else None,
-        "by_scene": {k: inside(mean_interval({k: v})) for k, v in scores.items()},
+        "by_scene": {k: inside(score_interval(method.on(k), price)) for k in scores},
         "comparison": None,
     }
 

@@ -123,9 +123,7 @@ def estimates(
 
 def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | None:
     if metric == SUCCESS:
-        reached = {scene: method.reached[scene]}
-        samples = SeedSamples(method.name, {scene: method.values[scene]}, reached, method.trained)
-        return success_interval(samples).to_dict()
+        return success_interval(method.on(scene)).to_dict()
     values: FloatArray = method.values[scene]
     if _only_reached(metric):
         values = values[:, method.reached[scene].all(axis=0)]

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import t as student
 
 from flipperctl.evaluation.seeds import (
+    PRICE,
     SeedSamples,
     better_interval,
     difference_interval,
@@ -16,6 +17,7 @@ from flipperctl.evaluation.seeds import (
     means,
     profile,
     resampled,
+    score_interval,
     statistic_interval,
 )
 from flipperctl.evaluation.statistics import interval
@@ -182,3 +184,22 @@ def test_failing_costs_the_price_and_a_crossing_at_most_that() -> None:
     assert method.scores(6.0)["stair"].tolist() == [[1.0, 6.0], [6.0, 2.0]]
     assert means(method.scores(8.0)).tolist() == [[4.5, 0.5], [4.5, 0.5]]
     assert method.seeds == 2
+
+
+@pytest.mark.parametrize(("seeds", "hard"), [(1, 0.0), (5, 0.0), (5, 0.7)])
+def test_the_interval_of_a_score_counts_on_failures_that_were_not_seen(
+    seeds: int, hard: float
+) -> None:
+    """30 episodes of which 3 % fail: of all alike, or mostly of ground that is hard for all."""
+    rng, count, held = np.random.default_rng(3), 300, 0
+    chance = np.array([0.5, 0.03 * (1 - hard)])
+    share = 0.06 * hard
+    truth = 1.0 + (PRICE - 1.0) * float(chance @ [share, 1 - share])
+    for _ in range(count):
+        lost = rng.random((seeds, 30)) < np.where(rng.random(30) < share, *chance)
+        values = rng.lognormal(-0.045, 0.3, 30) * rng.lognormal(-0.005, 0.1, (seeds, 30))
+        interval = score_interval(SeedSamples("m", {"s": values}, {"s": ~lost}), PRICE)
+        assert interval.low is not None
+        assert interval.high is not None
+        held += interval.low <= truth <= interval.high
+    assert held >= 0.93 * count
