@@ -243,7 +243,7 @@ def _play(
                 versions=versions_here(of_method[0].config),
                 scenes=tuple(scenes),
             ).sealed()
-            text = made.model_dump_json(indent=1) + "\n"
+            text = made.model_dump_json() + "\n"
             write_bytes(output / _file(method), text.encode())
             results.append(made)
         return results
