@@ -22,10 +22,11 @@ def main(files: list[str]) -> None:
     for track, content in benchmark.tracks.items():
         lines += [f"  {track}:", f"    episodes: {content.episodes}", "    scenes:"]
         for name, scene in content.scenes.items():
-            played = {rule.method: _played(rule, track, name) for rule in rules}
+            parts = {rule.method: _played(rule, track, name) for rule in rules}
+            played = {rule: part for rule, part in parts.items() if part is not None}
             # A failure costs what the roughest crossing by any rule does.
-            price = round(max(PRICE, *(_roughest(episodes) for episodes in played.values())), 3)
-            costs = {rule: float(e.costs(price).mean()) for rule, e in played.items()}
+            price = round(max(PRICE, *(_roughest(part) for part in played.values())), 3)
+            costs = {rule: float(part.costs(price).mean()) for rule, part in played.items()}
             print(f"{track}: {name}: {costs}", file=sys.stderr)
             lines += [
                 f"      {name}:",
@@ -36,8 +37,9 @@ def main(files: list[str]) -> None:
     print("\n".join(lines))
 
 
-def _played(rule: BenchmarkResult, track: str, scene: str) -> Played:
-    return next(p.policies[0] for p in rule.scenes if (p.track, p.scene) == (track, scene))
+def _played(rule: BenchmarkResult, track: str, scene: str) -> Played | None:
+    here = (p.policies[0] for p in rule.scenes if (p.track, p.scene) == (track, scene))
+    return next(here, None)
 
 
 def _roughest(played: Played) -> float:
