@@ -18,6 +18,7 @@ from flipperctl.api import ACTIONS, Outcome
 from flipperctl.config import EvalConfig
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation import benchmark
 from flipperctl.live.drives import DriveFolder
 from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.testing import checks
@@ -199,7 +200,12 @@ def with_budget(command: list[str]) -> list[str]:
 
 @pytest.fixture
 def small_searches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let searches that take no overrides, as with ``--passable``, be small as well."""
+    """Let searches that take no overrides, as with ``--passable``, and scenes be small as well."""
+    plane = benchmark.find_benchmark("1").tracks["plane"]
+    few = {name: plane.scenes[name] for name in ("step", "gap")}
+    track = benchmark.Track(episodes=5, scenes=few)
+    version = benchmark.Benchmark(about="", tracks={"plane": track})
+    monkeypatch.setattr(benchmark, "find_benchmark", lambda name: version)
     for search, small in (
         (Planner, {"width": 4, "budget": 2000}),
         (Mpc, {"beam": 4, "horizon": 4}),
@@ -219,6 +225,7 @@ MAKERS = {
     if command[1] in ("train", "tune", "eval", "map", "export", "robot") or option == "--record"
     if name != FIRST and (option in ("--output", "--record") or name != word)
 } | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
+MAKERS["benchmarked/generalist.json"] = ["flipperctl", "benchmark", "generalist"]
 """What a command writes → the first that writes it."""
 
 
