@@ -30,7 +30,7 @@ def benchmark(
         str, typer.Option(metavar="NAME", help="Version of the benchmark [1].")
     ] = "1",
     edition: Annotated[
-        str, typer.Option(metavar="SALT", help="Draw other episodes, from this word [public].")
+        str, typer.Option(metavar="SALT", help="Draw other episodes than the public ones.")
     ] = "",
     track: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Play this track alone; repeatable.")

@@ -20,7 +20,7 @@ import pytest
 
 from flipperctl.errors import FlipperctlError
 from flipperctl.rollout import pool as children
-from flipperctl.rollout.pool import WorkerDiedError, WorkerPool, python_environment
+from flipperctl.rollout.pool import ProcessHost, WorkerDiedError, WorkerPool, python_environment
 from flipperctl.training.trainer import Trainer
 from tests.rollout.calls import die, die_first, fail, initialize, mask, touch, wait_for
 from tests.rollout.notes import Notes, process_ids
@@ -28,7 +28,7 @@ from tests.short import short_config, trainer
 
 HOSTILE = ("random", "signal", "queue", "numbers", "numpy", "torch", "pickle", "socket", "struct")
 PLACES = """
-from flipperctl.rollout.pool import WorkerPool
+from flipperctl.rollout.pool import ProcessHost, WorkerPool
 pool = WorkerPool({count}, int, ())
 here = "(getattr(m, '__file__', '') or '').startswith(__import__('os').getcwd())"
 names = "[n for n, m in __import__('sys').modules.items() if " + here + "]"
@@ -69,9 +69,9 @@ def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
         with pytest.raises(WorkerDiedError, match=r"worker process [01] died"):
             dead.result()
         assert [call.result() for call in after] == [0, 1, 2, 3]
-        killed = list(workers._hosts.values())
-        for pid in process_ids(workers):  # while they wait for calls, or start
-            os.kill(pid, signal.SIGKILL)
+        killed = [host for host in workers._hosts.values() if isinstance(host, ProcessHost)]
+        for host in killed:  # while they wait for calls, or start
+            os.kill(host.pid, signal.SIGKILL)
         while any(host.alive for host in killed):
             time.sleep(0.001)
         assert [workers.submit(abs, -n).result() for n in range(4)] == [0, 1, 2, 3]

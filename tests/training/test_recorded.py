@@ -218,10 +218,10 @@ def test_recorded_decisions_count_before_the_student_drives(
 
     class Workers(RolloutWorkers):
         def __init__(
-            self, count: int, config: TrainConfig, shared: Mapping[str, Any] | None = None
+            self, count: int, config: TrainConfig, shared: Mapping[str, Any], *more: Any
         ) -> None:
-            made.append(dict(shared or {}))
-            super().__init__(count, config, shared)
+            made.append(dict(shared))
+            super().__init__(count, config, shared, *more)
 
     monkeypatch.setattr(episodes, "RolloutWorkers", Workers)
     fast = trainer(few(**settings, **{"train.mode": "fast"}), tmp_path / "fast")
