@@ -11,7 +11,12 @@ import sys
 from pathlib import Path
 
 from flipperctl.api import Outcome
-from flipperctl.evaluation.benchmark import BenchmarkResult, Played, find_benchmark, read_result
+from flipperctl.evaluation.benchmark import (
+    BenchmarkResult,
+    PlayedEpisodes,
+    find_benchmark,
+    read_result,
+)
 from flipperctl.evaluation.seeds import PRICE
 
 
@@ -37,12 +42,12 @@ def main(files: list[str]) -> None:
     print("\n".join(lines))
 
 
-def _played(rule: BenchmarkResult, track: str, scene: str) -> Played | None:
+def _played(rule: BenchmarkResult, track: str, scene: str) -> PlayedEpisodes | None:
     here = (p.policies[0] for p in rule.scenes if (p.track, p.scene) == (track, scene))
     return next(here, None)
 
 
-def _roughest(played: Played) -> float:
+def _roughest(played: PlayedEpisodes) -> float:
     crossings = zip(played.outcomes, played.pitch_variation_100hz, strict=True)
     return max((v for o, v in crossings if o == Outcome.REACHED and v is not None), default=0.0)
 

@@ -159,8 +159,12 @@ def leaderboard() -> str:
     """Return the scores of the result files of the repository, best first."""
     plugins.load()
     folder = Path(__file__).parent / "results" / "benchmark"
-    results = [read_result(file) for file in sorted(folder.glob("*.json"))]
-    methods = [document(r, scores(r, find_benchmark(r.benchmark))) for r in results]
+    methods = []
+    for file in sorted(folder.glob("*.json")):
+        result = read_result(file)
+        version = find_benchmark(result.benchmark)
+        result.check(file, version)
+        methods.append(document(result, scores(result, version)))
     return "\n".join(markdown(table(methods, scenes=False)))
 
 

@@ -10,22 +10,27 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+import shlex
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.config import strict_yaml
 from flipperctl.config.presets import presets
+from flipperctl.config.resolver import parse
 from flipperctl.errors import ConfigError, RequestError
+from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.rows import DIGEST, Episodes
 from flipperctl.evaluation.seeds import mean_interval
 from flipperctl.evaluation.statistics import Interval
-from flipperctl.text.messages import close_match, explain
+from flipperctl.evaluation.store import versions_here
+from flipperctl.policies.identity import PolicyIdentity
+from flipperctl.text.messages import unknown
 
 MEASURE = "pitch_variation_100hz"
 """Measure of a crossing's cost [rad]."""
@@ -54,33 +59,63 @@ class Track(_Frozen):
 class Benchmark(_Frozen):
     """A version of the benchmark. Any change of its file makes another version."""
 
+    name: str = ""
+    """Name of the version, which is that of its file."""
     about: str
     tracks: dict[str, Track] = Field(min_length=1)
 
     @property
     def digest(self) -> str:
         """Hash of all scenes and prices."""
-        return _hash(self.model_dump())
+        return _hash(self.model_dump(exclude={"name"}))
+
+    def sections(self, tracks: Iterable[str], salt: str = "") -> list[Section]:
+        """Return the scenes of some tracks, or of all without any, with the seeds of an edition.
+
+        The public edition has an empty ``salt``.
+        """
+        chosen = list(tracks)
+        for name in chosen:
+            if name not in self.tracks:
+                raise RequestError(unknown("--track: there is no track", name, self.tracks))
+        return [
+            Section(track, name, scene, self._words(track, name, salt))
+            for track, content in self.tracks.items()
+            if track in (chosen or self.tracks)
+            for name, scene in content.scenes.items()
+        ]
+
+    def _words(self, track: str, name: str, salt: str) -> tuple[str, ...]:
+        content = self.tracks[track]
+        seed = int(_hash([self.name, salt, track, name])[:7], 16)
+        numbers = f"eval.seed={seed}", f"eval.episodes={content.episodes}"
+        return *shlex.split(content.scenes[name].words), *numbers
+
+
+class Section(NamedTuple):
+    """A scene of a track, as it is played."""
+
+    track: str
+    name: str
+    scene: Scene
+    words: tuple[str, ...]
+    """Its settings, and the seed and number of its episodes, as ``key=value``."""
+
+    @property
+    def label(self) -> str:
+        """Name among the scenes of all tracks."""
+        return f"{self.track}: {self.name}"
 
 
 def find_benchmark(name: str) -> Benchmark:
     """Return a version of the benchmark by its name."""
     known = presets("benchmark")
     if name not in known:
-        raise ConfigError(
-            f"benchmark: there is no version {name!r}{close_match(name, known)}; "
-            f"known: {', '.join(known)}"
-        )
+        raise ConfigError(unknown("benchmark: there is no version", name, known))
     where = f"benchmark {name}"
-    try:
-        return Benchmark.model_validate(strict_yaml.read(known[name], where))
-    except ValidationError as error:
-        raise ConfigError(f"{where}: {explain(error, '', Benchmark)}") from error
-
-
-def scene_seed(version: str, salt: str, track: str, scene: str) -> int:
-    """Return the seed of a scene's episodes; the public edition has an empty ``salt``."""
-    return int(_hash([version, salt, track, scene])[:7], 16)
+    return parse(Benchmark, strict_yaml.read(known[name], where), where).model_copy(
+        update={"name": name}
+    )
 
 
 def edition(salt: str) -> str:
@@ -93,7 +128,7 @@ def _hash(document: object) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:_DIGITS]
 
 
-class Played(_Frozen):
+class PlayedEpisodes(_Frozen):
     """The episodes of one policy on a scene, in their order."""
 
     outcomes: tuple[Outcome, ...]
@@ -123,9 +158,15 @@ class SceneResult(_Frozen):
 
     track: str
     scene: str
-    policies: tuple[Played, ...]
+    policies: tuple[PlayedEpisodes, ...]
     """Of each training seed, in the order of ``BenchmarkResult.policies``."""
-    rule: Played
+    rule: PlayedEpisodes
+
+    @property
+    def sizes(self) -> list[int]:
+        """Numbers of outcomes, costs and digests, of each policy and of the rule."""
+        played = (*self.policies, self.rule)
+        return [len(getattr(part, name)) for part in played for name in PlayedEpisodes.model_fields]
 
     def ratios(self, price: float) -> FloatArray:
         """Return numbers whose mean is the ratio of the mean costs, (S, E).
@@ -146,6 +187,11 @@ class PolicyEntry(_Frozen):
     digest: str
     """Hash of its content, as stored episodes have it."""
     training_seed: int | None = None
+
+    @classmethod
+    def of(cls, policy: PolicyIdentity) -> Self:
+        """Take what a result file states of a policy."""
+        return cls(label=policy.label, digest=policy.digest, training_seed=policy.training_seed)
 
 
 class BenchmarkResult(_Frozen):
@@ -171,25 +217,70 @@ class BenchmarkResult(_Frozen):
     def _content(self) -> str:
         return _hash(self.model_dump(mode="json", exclude={"content_hash"}))
 
-    def check(self, where: Path, version: str, benchmark: Benchmark) -> None:
-        """Refuse a file that was changed, or that belongs to other scenes."""
-        if self.benchmark != version:
+    def check(self, where: Path, benchmark: Benchmark) -> None:
+        """Refuse a file that was changed, leaves episodes out, or belongs to other scenes."""
+        if self.benchmark != benchmark.name:
             raise RequestError(f"{where}: it is of version {self.benchmark}; give its --version")
         if self.content_hash != self._content():
             raise RequestError(f"{where}: its content was changed after it was written")
         if self.scenes_hash != benchmark.digest:
             raise RequestError(f"{where}: its scenes are not those of benchmark {self.benchmark}")
+        # Whole tracks alone make a score: every scene, every policy, every episode
+        sections = benchmark.sections({part.track: None for part in self.scenes})
+        stated = [(part.track, part.scene, part.sizes) for part in self.scenes]
+        whole = [
+            (s.track, s.name, [benchmark.tracks[s.track].episodes] * 3 * (len(self.policies) + 1))
+            for s in sections
+        ]
+        if stated != whole:
+            raise RequestError(f"{where}: it lacks some of the episodes of its tracks")
 
 
 def read_result(file: Path) -> BenchmarkResult:
     """Read a result file."""
     try:
-        return BenchmarkResult.model_validate_json(file.read_bytes())
+        document = json.loads(file.read_bytes())
     except OSError as error:
         raise RequestError(f"{file}: it cannot be read: {error.strerror}") from error
-    except ValidationError as error:
-        text = explain(error, "", BenchmarkResult)
-        raise RequestError(f"{file}: it is no result of a benchmark: {text}") from error
+    except ValueError as error:
+        raise RequestError(f"{file}: it is no result of a benchmark: {error}") from error
+    return parse(BenchmarkResult, document, str(file))
+
+
+def results_of(
+    benchmark: Benchmark, salt: str, sections: Sequence[Section], result: Result
+) -> list[BenchmarkResult]:
+    """Return the result file of each method from the episodes of policies and rules."""
+    methods = dict.fromkeys(p.entry.method for p in result.played if not p.entry.is_baseline)
+    files = []
+    for method in methods:
+        scenes, policies, versions = [], list[PolicyEntry](), dict[str, str]()
+        for section in sections:
+            here = [p for p in result.played if p.entry.scene == section.label]
+            (rule,) = (p for p in here if p.entry.is_baseline)
+            of_method = [p for p in here if p.entry.method == method and p is not rule]
+            scenes.append(
+                SceneResult(
+                    track=section.track,
+                    scene=section.name,
+                    policies=tuple(PlayedEpisodes.of(p.episodes) for p in of_method),
+                    rule=PlayedEpisodes.of(rule.episodes),
+                )
+            )
+            # The policies are the same on every scene, and so is the code that plays them.
+            policies = [PolicyEntry.of(p.policy) for p in of_method if p.policy is not None]
+            versions |= versions_here(rule.entry.config)
+        file = BenchmarkResult(
+            benchmark=benchmark.name,
+            scenes_hash=benchmark.digest,
+            edition=edition(salt),
+            method=method,
+            policies=tuple(policies),
+            versions=versions,
+            scenes=tuple(scenes),
+        )
+        files.append(file.sealed())
+    return files
 
 
 @dataclass(frozen=True)
@@ -230,22 +321,22 @@ def _by_track(scenes: Sequence[SceneResult]) -> Mapping[str, list[SceneResult]]:
     return tracks
 
 
-def sample(result: BenchmarkResult, share: float, rng: np.random.Generator) -> list[list[int]]:
-    """Return the episodes of each scene that a verification plays again, at least one."""
-    chosen = []
+def sample(
+    result: BenchmarkResult, share: float, rng: np.random.Generator
+) -> Iterator[tuple[SceneResult, list[int]]]:
+    """Yield each scene with the episodes that a verification plays again, at least one."""
     for scene in result.scenes:
         count = len(scene.rule.outcomes)
-        size = max(1, min(count, round(share * count)))
-        chosen.append(sorted(rng.choice(count, size, replace=False).tolist()))
-    return chosen
+        size = max(1, round(share * count))
+        yield scene, sorted(rng.choice(count, size, replace=False).tolist())
 
 
-def difference(stated: Played, index: int, row: Mapping[str, Any]) -> str:
+def difference(stated: PlayedEpisodes, index: int, row: Mapping[str, Any]) -> str:
     """Return how an episode that was played again differs from a file's; empty if it is equal."""
-    now = Played.of(Episodes((dict(row),)))
+    now = PlayedEpisodes.of(Episodes((dict(row),)))
     changes = [
         f"{name} {getattr(stated, name)[index]}, now {getattr(now, name)[0]}"
-        for name in Played.model_fields
+        for name in PlayedEpisodes.model_fields
         if getattr(stated, name)[index] != getattr(now, name)[0]
     ]
     return "; ".join(changes)

@@ -88,6 +88,28 @@ def test_a_changed_episode_is_noticed(folder: Path) -> None:
     assert "plane: steps, okada, episode 0 differs: pitch_variation_100hz 0.1" in found.err
 
 
+def test_a_file_without_what_went_badly_is_refused(folder: Path) -> None:
+    result = read_result(folder / "out/okada.json")
+    first, *rest = result.scenes
+    (okada,) = first.policies
+    shorter = okada.model_copy(
+        update={name: getattr(okada, name)[1:] for name in type(okada).model_fields}
+    )
+    for scenes in (
+        tuple(rest),
+        (first.model_copy(update={"policies": (shorter,)}), *rest),
+        (first.model_copy(update={"policies": ()}), *rest),
+    ):
+        part = result.model_copy(update={"scenes": scenes}).sealed()
+        (folder / "part.json").write_text(part.model_dump_json())
+        assert "lacks some" in refused(*PLAY, "--verify", "part.json", cwd=folder)
+
+
+def test_a_policy_of_another_content_is_not_what_was_played(folder: Path) -> None:
+    done = call(*PLAY, "level", "--verify", "out/okada.json", cwd=folder)
+    assert (done.code, "not among those of this content" in done.err) == (2, True)
+
+
 def test_scenes_are_fixed(folder: Path) -> None:
     assert "fixed" in refused(*PLAY, "okada", "sim.friction=0.3", cwd=folder)
     assert "no track 'plan'" in refused(*PLAY, "okada", "--track", "plan", cwd=folder)

@@ -8,22 +8,18 @@ from flipperctl.config.presets import presets
 from flipperctl.evaluation import benchmark as frozen
 
 
-def _played(costs: list[float], failed: list[bool]) -> frozen.Played:
+def _played(costs: list[float], failed: list[bool]) -> frozen.PlayedEpisodes:
     outcomes = tuple(Outcome.STUCK if lost else Outcome.REACHED for lost in failed)
-    return frozen.Played(
+    return frozen.PlayedEpisodes(
         outcomes=outcomes, pitch_variation_100hz=tuple(costs), digests=("0",) * len(costs)
     )
 
 
-def test_every_version_has_scenes_of_its_own_seeds_and_a_rule_that_exists() -> None:
+def test_every_scene_of_every_edition_has_episodes_of_its_own() -> None:
     for name in presets("benchmark"):
         version = frozen.find_benchmark(name)
-        scenes = [
-            (track, scene) for track, content in version.tracks.items() for scene in content.scenes
-        ]
-        public = {frozen.scene_seed(name, "", *scene) for scene in scenes}
-        kept = {frozen.scene_seed(name, "a judge's word", *scene) for scene in scenes}
-        assert len(public | kept) == 2 * len(scenes)
+        sections = [*version.sections([]), *version.sections([], "a judge's word")]
+        assert len({section.words[-2] for section in sections}) == len(sections)
 
 
 def test_a_failure_costs_the_scenes_price_and_a_rule_against_itself_is_exactly_one() -> None:
