@@ -334,20 +334,6 @@ class TorchNetwork:
 
 
 @contextmanager
-def denormals_flushed() -> Iterator[None]:
-    """Compute numbers below 1.2·10⁻³⁸ as 0 on this thread.
-
-    Moments of weights without a gradient shrink to such numbers, with which a processor computes
-    tens of times slower; no weight changes by it.
-    """
-    torch.set_flush_denormal(True)
-    try:
-        yield
-    finally:
-        torch.set_flush_denormal(False)
-
-
-@contextmanager
 def seeded(device: torch.device, *key: int) -> Iterator[None]:
     """Let torch's global generators draw what ``key`` determines; restore them afterwards.
 

@@ -49,7 +49,7 @@ def function(words: Words) -> Callable[..., Any]:
     entry = _installed()[words]
     try:
         run: Callable[..., Any] = entry.load()
-    except Exception as error:
+    except Exception as error:  # importing a stranger's module may raise anything
         if entry.module.startswith(_OWN):
             raise
         from flipperctl.plugging import plugins

@@ -194,7 +194,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
                 self.profile = start.ahead(self.profile)  # beside the line there is no place for it
                 starts = self._place(start_rng)
             start.check_placed(self.drive.world, self._start, config, self.profile)
-        except Exception as error:
+        except Exception as error:  # whatever it is, it goes on with the seed
             if seed is not None:
                 error.add_note(f"the episode's seed is {seed}")
             raise

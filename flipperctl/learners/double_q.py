@@ -27,7 +27,6 @@ from flipperctl.agent.losses import (
     teacher_large_margin,
 )
 from flipperctl.agent.networks import (
-    denormals_flushed,
     difference_loss,
     difference_targets,
     seeded,
@@ -160,8 +159,7 @@ class DoubleQ(NetworkPair):
         rate and the weight of the labels. ``groups``: valued states for each step. ``uniform``: as
         many transitions of true frequencies for risk and curiosity; None: those of ``batch``.
         """
-        # Generators are seeded by the number of steps, so that a resumed run draws the same.
-        with seeded(self.device, self._seed, self.optimiser.steps), denormals_flushed():
+        with seeded(self.device, self._seed, self.optimiser.steps):  # equal in a resumed run
             return self._update(batch, fraction, groups, batch if uniform is None else uniform)
 
     def _update(

@@ -33,6 +33,16 @@ def flight(
     return points
 
 
+def blondel(degrees: float, stride: float) -> tuple[float, float]:
+    """Return tread and rise [m] of which two rises and a tread make a ``stride`` [m].
+
+    ``degrees``: slope of the flight. The rule is Blondel's (1675).
+    """
+    slope = math.tan(math.radians(degrees))
+    tread = stride / (1 + 2 * slope)
+    return tread, slope * tread
+
+
 @terrain("stair")
 class Stair(Terrain):
     """Flights of equal steps, up or down, their number sampled each episode.
@@ -129,12 +139,10 @@ class BuildingStair(Terrain):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads between them."""
         degrees, stride = self.slope.sample(rng), self.stride.sample(rng)
-        # Blondel's rule: two rises and a tread make a stride.
-        slope = math.tan(math.radians(degrees))
-        tread = stride / (1 + 2 * slope)
+        tread, rise = blondel(degrees, stride)
         steps = self.steps.sample(rng)
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
-        rise = slope * tread * (1 if up else -1)
+        rise *= 1 if up else -1
         points = flight(0.0, 0.0, steps, tread, rise, self.landing_every, self.landing)
         drawn = {"steps": steps, "slope": degrees, "rise": abs(rise), "tread": tread, "up": int(up)}
         return Profile(points, drawn=drawn)
@@ -166,9 +174,7 @@ class Stairwell(Terrain):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads and landings between them."""
         degrees, stride = self.slope.sample(rng), self.stride.sample(rng)
-        # Blondel's rule: two rises and a tread make a stride.
-        slope = math.tan(math.radians(degrees))
-        tread = stride / (1 + 2 * slope)
+        tread, rise = blondel(degrees, stride)
         flights = self.flights.sample(rng)
         sign = 1 if rng.random() < self.up else -1
         points, total, turns, first_up = list[tuple[float, float]](), 0, 0, int(sign > 0)
@@ -180,14 +186,14 @@ class Stairwell(Terrain):
                 if rng.random() < self.turn:
                     sign, turns = -sign, turns + 1
             steps = self.steps.sample(rng)
-            points += flight(x, z, steps, tread, sign * slope * tread)
+            points += flight(x, z, steps, tread, sign * rise)
             total += steps
         drawn = {
             "steps": total,
             "flights": flights,
             "turns": turns,
             "slope": degrees,
-            "rise": slope * tread,
+            "rise": rise,
             "tread": tread,
             "up": first_up,
         }

@@ -8,6 +8,8 @@ from pydantic import Field
 
 from flipperctl.api import IntRange, Profile, Range, Terrain, terrain
 
+from .stairs import blondel
+
 
 @terrain("lip")
 class Lip(Terrain):
@@ -71,9 +73,7 @@ class DamagedStair(Terrain):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the treads from the foot of the flight to its top, mirrored if it leads down."""
         degrees, stride = self.slope.sample(rng), self.stride.sample(rng)
-        slope = math.tan(math.radians(degrees))
-        tread = stride / (1 + 2 * slope)
-        rise, steps = slope * tread, self.steps.sample(rng)
+        (tread, rise), steps = blondel(degrees, stride), self.steps.sample(rng)
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         # Upwards from the foot; a missing tread leaves the height of the one below it.
         points, height, gone = list[tuple[float, float]](), 0.0, 0
