@@ -257,7 +257,7 @@ def test_half_an_hour_of_courses_raises_nothing_and_needs_no_more_memory(ros: Ro
         assert "Traceback" not in node.log.read_text()
     assert sum(row["seconds"] for row in rows) > 1800
     faults = {name for row in rows for name in row["diagnoses"]}
-    assert not faults & {"inference", "clock_jump"}
+    assert not faults & {"inference", "clock_jump", "motion_sign", "motion_scale", "motion_sides"}
     third = len(sizes) // 3
     assert max(sizes[-third:]) < max(sizes[third : 2 * third]) + 4000
 
@@ -381,7 +381,7 @@ def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(
 ) -> None:
     """Messages that were on their way come late, too."""
     if "kilted" in request.node.name:
-        reason = "Kilted's Fast DDS hears Cyclone DDS for some 10 s after the cut, then no more"
+        reason = "Kilted's Fast DDS may hear Cyclone DDS for some 10 s after the cut, then no more"
         request.applymarker(pytest.mark.xfail(reason=reason))
     with network() as (here, there, switch):
         # By the clock of the machine, which no link cuts; it may be busy, so messages may be late.
