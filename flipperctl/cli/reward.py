@@ -171,7 +171,7 @@ def _regret(
         )
     ]
     with player(output, "regret") as (plays, _):
-        regrets = [one for scene in chosen if (one := measure(scene, plays)) is not None]
+        regrets = [row for scene in chosen if (row := measure(scene, plays)) is not None]
     if not regrets:
         raise InterruptedRunError("interrupted: no scene is finished")
 

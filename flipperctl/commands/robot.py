@@ -112,8 +112,8 @@ def recorded_robot(overrides: Sequence[str] | None, usual: Devices | None = None
     lidar = [] if "perception" in words else [Request("perception", "lidar")]
     config = compose_environment(Requests.of(lidar, known, rest))
     keys = frozenset(words)
-    given = devices is not None or "perception.pose" in keys
-    pose = getattr(config.perception, "pose", None) if given else None
+    stated = devices is not None or "perception.pose" in keys
+    pose = getattr(config.perception, "pose", None) if stated else None
     return Recorded(config, pose, keys, devices or Devices())
 
 

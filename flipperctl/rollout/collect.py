@@ -323,7 +323,7 @@ class RolloutWorkers:
         Returns None alone, and keeps the request, if the run is to stop before one arrives.
         """
         # Poll, so that the wait can be stopped.
-        asked = time.perf_counter()
+        start = time.perf_counter()
         while not (done := wait(self._awaited(), POLL, FIRST_COMPLETED).done):
             if stop():
                 return None
@@ -332,7 +332,7 @@ class RolloutWorkers:
         if math.isnan(self._begun):
             self._begun = now
         else:
-            self._waited += now - asked
+            self._waited += now - start
         future = done.pop()
         request = self._sent.pop(future)
         try:

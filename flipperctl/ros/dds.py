@@ -144,9 +144,9 @@ class CycloneWire:
         if ros not in self._kinds:
             package, _, name = ros.split("/")
             fields = {field: self._part(node) for field, node in self._types.fielddefs[ros][1]}
-            made = make_idl_struct(f"{name}_", f"{package}::msg::dds_::{name}_", fields)
-            assert issubclass(made, IdlStruct)
-            self._kinds[ros] = made
+            kind = make_idl_struct(f"{name}_", f"{package}::msg::dds_::{name}_", fields)
+            assert issubclass(kind, IdlStruct)
+            self._kinds[ros] = kind
         return self._kinds[ros]
 
     def _part(self, node: Any) -> Any:

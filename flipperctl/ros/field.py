@@ -126,7 +126,7 @@ def _motion(bag: Path, names: Names) -> _Motion:
         raise RequestError(f"{bag}: no speed of the belts tells when the robot drove")
 
     # Who commanded, by the diagnostics of our node
-    told = []
+    sources = []
     with opened(bag) as reader:
         if any(c.topic == _DIAGNOSES and c.msgtype == _KIND for c in reader.connections):
             for _, received, message in messages(reader, [_DIAGNOSES]):
@@ -135,8 +135,8 @@ def _motion(bag: Path, names: Names) -> _Motion:
                 for status in message.status:
                     values = {value.key: value.value for value in status.values}
                     if "commands" in values:
-                        told.append((now - (begun or 0.0), values["commands"]))
-    return _Motion(speeds, told or None)
+                        sources.append((now - (begun or 0.0), values["commands"]))
+    return _Motion(speeds, sources or None)
 
 
 def _stretches(

@@ -161,9 +161,11 @@ class TopicRobot(Observer):
             "simulation/tick": "std_msgs/msg/Float64MultiArray",
         }
         best = {names.clouds} if not self._link.lockstep else set()
-        made = {t: self._wire.publisher(t, k, best_effort=t in best) for t, k in kinds.items()}
-        made["/tf_static"] = self._wire.publisher("/tf_static", kinds["/tf"], latched=True)
-        return made
+        publishers = {
+            t: self._wire.publisher(t, k, best_effort=t in best) for t, k in kinds.items()
+        }
+        publishers["/tf_static"] = self._wire.publisher("/tf_static", kinds["/tf"], latched=True)
+        return publishers
 
     def _subscribe(self) -> None:
         names, subscribe = self.devices.topics, self._wire.subscribe

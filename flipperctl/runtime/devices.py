@@ -147,8 +147,8 @@ class Devices:
 
     def __post_init__(self) -> None:
         """Refuse what no robot can have."""
-        given = [value is not None for value in (self.lidar.x, self.lidar.z, self.lidar.axis)]
-        if any(given) and not all(given):
+        stated = [value is not None for value in (self.lidar.x, self.lidar.z, self.lidar.axis)]
+        if any(stated) and not all(stated):
             raise PolicyError("lidar: x, z and axis are allowed together, or none of them")
         if not 0 < self.chassis_width < self.overall_width:
             raise PolicyError(

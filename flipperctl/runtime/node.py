@@ -208,16 +208,16 @@ class RobotNode:
             return True
         if frame == base:
             return False
-        found = self._place_of(frame)
-        if found is None:
+        mounted = self._place_of(frame)
+        if mounted is None:
             self._tell(f"no transform from {frame} to {base} is known yet")
             return False
-        turn = _matrix(found.turn)
+        turn = _matrix(mounted.turn)
         axis = math.atan2(turn[2, 2], turn[0, 2])  # about which it turns
-        self._mount = replace(self._mount, x=found.x, z=found.z, axis=axis)
+        self._mount = replace(self._mount, x=mounted.x, z=mounted.z, axis=axis)
         self.controller = self._begun()
         back = self._mount.turn.T
-        self._lidar = frame, back @ turn, back @ (0.0, found.y, 0.0)
+        self._lidar = frame, back @ turn, back @ (0.0, mounted.y, 0.0)
         return True
 
     def imu(self, now: float, message: Any) -> Attitude:

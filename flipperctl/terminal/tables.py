@@ -242,9 +242,9 @@ def print_simulated(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print how the episodes of a simulated robot on topics went."""
     cells = []
     for row in rows:
-        told = max(row["diagnoses"], key=row["diagnoses"].get, default="nothing")
+        most = max(row["diagnoses"], key=row["diagnoses"].get, default="nothing")
         times = {"median": 1e3 * row["latency_median"], "most": 1e3 * row["latency_99"]}
-        cells.append({**row, **times, "told": told, "episode": str(row["episode"])})
+        cells.append({**row, **times, "told": most, "episode": str(row["episode"])})
     print_table(Table(_SIMULATED, cells), console())
 
 
