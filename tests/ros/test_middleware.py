@@ -298,7 +298,11 @@ def test_a_bag_of_the_topics_opens_by_the_names_of_ros_2(
     words = "bag", f"devices={ros.folder / 'd.json'}", "--json"
     checked = call("robot", "check", *words, cwd=tmp_path)
     assert checked.code == 0, checked.err
-    assert json.loads(checked.out)["scans"] == counts["/points"]
+    # A busy machine receives a cloud so late that it is refused: each is used or counted with why.
+    perceived = json.loads(checked.out)
+    refused = sum(refusal["count"] for refusal in perceived["refused"].values())
+    assert perceived["scans"] + refused == counts["/points"], perceived["refused"]
+    assert refused < 0.2 * counts["/points"], perceived["refused"]
 
 
 def test_topics_are_printed_as_the_lines_of_the_self_test(ros: Ros) -> None:
