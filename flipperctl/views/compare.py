@@ -19,6 +19,7 @@ from flipperctl.evaluation.names import chosen_names, taken
 from flipperctl.evaluation.names import names as shown_names
 from flipperctl.evaluation.seeds import (
     PRICE,
+    Scores,
     SeedSamples,
     better_interval,
     difference_interval,
@@ -160,6 +161,10 @@ def method_row(method: SeedSamples, price: float) -> Document:
         [values[method.reached[scene]] for scene, values in method.values.items()]
     )
     rng = np.random.default_rng(_SEED)
+
+    def middle(values: Scores) -> Interval:
+        return statistic_interval(values, interquartile_mean, rng)
+
     # No score lies outside the least value and the price, so that no interval should either.
     least = min(0.0, *(float(values.min()) for values in scores.values()))
 
@@ -172,7 +177,7 @@ def method_row(method: SeedSamples, price: float) -> Document:
         "trained": method.trained,
         "success": success_interval(method).to_dict(),
         "score": inside(score_interval(method, price)),
-        "iqm": inside(statistic_interval(scores, interquartile_mean, rng)),
+        "iqm": inside(score_interval(method, price, middle)),
         "reached_mean": float(reached.mean()) if reached.size else None,
         "by_scene": {k: inside(score_interval(method.on(k), price)) for k in scores},
         "comparison": None,

@@ -1,6 +1,7 @@
 """Intervals over training seeds and episodes, and aggregates worked by hand."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from scipy.stats import t as student
 
 from flipperctl.evaluation.seeds import (
     PRICE,
+    Scores,
     SeedSamples,
     better_interval,
     difference_interval,
@@ -20,7 +22,7 @@ from flipperctl.evaluation.seeds import (
     score_interval,
     statistic_interval,
 )
-from flipperctl.evaluation.statistics import interval
+from flipperctl.evaluation.statistics import Interval, interval
 
 
 def crossed(rng: np.random.Generator, seeds: int, own: float, ground: float, both: float) -> object:
@@ -186,9 +188,14 @@ def test_failing_costs_the_price_and_a_crossing_at_most_that() -> None:
     assert method.seeds == 2
 
 
+def middle(scores: Scores) -> Interval:
+    return statistic_interval(scores, interquartile_mean, np.random.default_rng(4), 100)
+
+
+@pytest.mark.parametrize("interval", [mean_interval, middle])
 @pytest.mark.parametrize(("seeds", "hard"), [(1, 0.0), (5, 0.0), (5, 0.7)])
 def test_the_interval_of_a_score_counts_on_failures_that_were_not_seen(
-    seeds: int, hard: float
+    seeds: int, hard: float, interval: Callable[[Scores], Interval]
 ) -> None:
     """30 episodes of which 3 % fail: of all alike, or mostly of ground that is hard for all."""
     rng, count, held = np.random.default_rng(3), 300, 0
@@ -198,8 +205,8 @@ def test_the_interval_of_a_score_counts_on_failures_that_were_not_seen(
     for _ in range(count):
         lost = rng.random((seeds, 30)) < np.where(rng.random(30) < share, *chance)
         values = rng.lognormal(-0.045, 0.3, 30) * rng.lognormal(-0.005, 0.1, (seeds, 30))
-        interval = score_interval(SeedSamples("m", {"s": values}, {"s": ~lost}), PRICE)
-        assert interval.low is not None
-        assert interval.high is not None
-        held += interval.low <= truth <= interval.high
+        score = score_interval(SeedSamples("m", {"s": values}, {"s": ~lost}), PRICE, interval)
+        assert score.low is not None
+        assert score.high is not None
+        held += score.low <= truth <= score.high
     assert held >= 0.93 * count
