@@ -31,7 +31,7 @@ def evaluate(
     baseline: Annotated[
         str | None,
         typer.Option(
-            metavar="NAMES", help="Controllers to compare with, such as level,okada, or none."
+            metavar="NAMES", help="Controllers to compare with, such as level,geometric, or none."
         ),
     ] = None,
     passable: Annotated[

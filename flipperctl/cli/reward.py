@@ -22,8 +22,6 @@ _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"
 """Preset of ``configs/eval.yaml``."""
 _FIELD = "controller."
-_REFERENCES = ("level", "okada", "mpc")
-"""References of --regret unless others are named."""
 
 
 def reward(
@@ -55,10 +53,10 @@ def reward(
     eval.jobs set the seed and the number of processes.
 
     --regret compares the reward of the first policy with those of the others, by default level,
-    okada and mpc, on the same episodes. It says if the policy earns less than holding the flippers
-    still (level). Regret is what it lacks to the highest reward of each episode. All episodes
-    count, failed ones too. controller.<field> applies to the first policy, if it is a controller,
-    else to the others.
+    geometric and mpc, on the same episodes. It says if the policy earns less than holding the
+    flippers still (level). Regret is what it lacks to the highest reward of each episode. All
+    episodes count, failed ones too. controller.<field> applies to the first policy, if it is a
+    controller, else to the others.
 
     [bold]Examples[/]
 
@@ -146,7 +144,7 @@ def _regret(
     The first of the ``names`` is the policy's, the others are those of the references.
     """
     from flipperctl.cli.plan import player
-    from flipperctl.evaluation.plan import entrants, policies
+    from flipperctl.evaluation.plan import RULES, entrants, policies
     from flipperctl.evaluation.regret import RegretScene, measure
     from flipperctl.requests.plan import scenes
     from flipperctl.requests.text import from_words
@@ -162,7 +160,7 @@ def _regret(
     requests, fields = from_words(words), dict[str, Any]()
     if policy.run is not None:
         fields, requests = controller_fields(requests)
-    others = policies(names[1:] or _REFERENCES, fields, print_note)
+    others = policies(names[1:] or (*RULES, "mpc"), fields, print_note)
     labels = [_split(combination)[1] for combination in requests.combinations()]
     chosen = [
         RegretScene(config, label or _default(policy), names[0], source, others)

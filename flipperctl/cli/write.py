@@ -35,7 +35,7 @@ def card(
 
     [bold]Examples[/]
 
-      flipperctl eval generalist --baseline okada,level --output evaluated
+      flipperctl eval generalist --baseline geometric,level --output evaluated
 
       flipperctl card generalist evaluated --output card.md
     """

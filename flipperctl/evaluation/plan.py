@@ -209,8 +209,8 @@ def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
             raise RequestError(f"{name}: no meaning beside {option}; leave it out")
 
 
-DEFAULT_CONTROLLERS = ("level", "okada")
-"""Controllers that stand in a table of several methods unless others are named."""
+RULES = ("level", "geometric")
+"""Controllers that policies stand beside unless others are named: the smoothest of the rules."""
 
 
 def controllers(
@@ -313,7 +313,7 @@ def split_names(text: str) -> list[str]:
         return [text]
     names = [name.strip() for name in text.split(",")]
     if not all(names):
-        raise RequestError(f"names between commas are allowed, as in okada,level; got {text!r}")
+        raise RequestError(f"names between commas are allowed, as in geometric,level; got {text!r}")
     return names
 
 
@@ -333,7 +333,7 @@ def _exists(name: str) -> bool:
 
 def standing(baseline: str | None, present: Sequence[NamedPolicy]) -> list[NamedPolicy]:
     """Return the controllers beside the methods; ``baseline`` names others, or none."""
-    names = _controllers(baseline, "--baseline", DEFAULT_CONTROLLERS)
+    names = _controllers(baseline, "--baseline", RULES)
     return [e for e in map(NamedPolicy, names) if e not in present]
 
 

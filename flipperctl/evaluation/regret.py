@@ -22,6 +22,7 @@ from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, to_dict
 from flipperctl.config.reward_sum import paying_terms
 from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError
 from flipperctl.evaluation.conditions import TRAINED, Conditions
+from flipperctl.evaluation.plan import RULES
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import REWARD, Episodes, reached
 from flipperctl.evaluation.statistics import interval
@@ -206,7 +207,7 @@ def regret_scene(config: TrainConfig, directory: Path) -> RegretScene:
     settings = Eval(episodes=config.train.regret_episodes, seed=SEED)
     evaluation = EvalConfig(**sections, conditions=TRAINED, eval=settings)
     # The references: rules that need no training.
-    references = {name: load_policy(name, "controller") for name in (LEVEL, "okada")}
+    references = {name: load_policy(name, "controller") for name in RULES}
     teacher = config.teacher.controller
     if teacher is not None and is_rule(teacher):
         source = PolicySource(settings=to_dict(teacher))

@@ -333,7 +333,7 @@ class GradientLearning(PairLearning):
                 f"agent.replay_size: {self.replay.capacity:,} decisions are fewer than the "
                 f"{new:,} of whole episodes that the policy gradient learns from at once; raise it"
             )
-        if new >= self._settings.decisions:
+        if new >= self._settings.round_size(self.training.decisions):
             fraction = decision / self.training.decisions
             self.loss = self.agent.update(self.replay.newest(new), fraction, self._sample_rng)
             self.agent.learnt = self.replay.added

@@ -33,10 +33,11 @@ class PolicyGradient(GradientSettings):
 
     def first_update(self, config: Any) -> tuple[int, str]:
         """Return the decisions of the rounds until the policy learns."""
-        first = (self.warm_up + 1) * self.decisions
+        size = self.round_size(config.train.decisions)
+        first = (self.warm_up + 1) * size
         return first, (
             f"it learns from {first} decisions on; {self.warm_up} rounds of "
-            f"agent.decisions={self.decisions} are for the values alone"
+            f"agent.decisions={size} are for the values alone"
         )
 
     def build(self, training: Training) -> Learning:

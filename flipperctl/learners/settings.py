@@ -204,12 +204,13 @@ class D3qnSettings(PairSettings):
 class GradientSettings(PairSettings):
     """Settings of the policy gradient. The paper has none."""
 
-    decisions: int = Field(
-        8192,
+    decisions: int | None = Field(
+        None,
         ge=2,
         le=10_000_000,
         description="decisions of whole episodes that are driven before the policy is improved by "
-        "them; they must fit into agent.replay_size [-]",
+        "them, half of agent.replay_size at most; null: a fortieth of train.decisions, from 2,048 "
+        "to 24,576 [-]",
     )
     passes: int = Field(3, ge=1, le=100, description="passes over these decisions [-]")
     temperature: Temperature = Field(
@@ -261,6 +262,13 @@ class GradientSettings(PairSettings):
         3, ge=0, le=1000, description="first rounds, in which the values alone learn [-]"
     )
 
+    def round_size(self, budget: int) -> int:
+        """Return the decisions of a round in a training of ``budget`` decisions."""
+        if self.decisions is not None:
+            return self.decisions
+        # Noisy rounds that are many teach more than a few exact ones.
+        return min(max(budget // 40, 2048), 24576, self.replay_size // 2)
+
     def temperature_at(self, fraction: float) -> float:
         """Return the temperature after a ``fraction`` of the run, 0 to 1."""
         end = self.temperature if self.temperature_end is None else self.temperature_end
@@ -273,7 +281,8 @@ class GradientSettings(PairSettings):
                 "agent.start_values: true needs a run whose values to start with; "
                 "name it in agent.start_from, or leave it at false"
             )
-        if self.replay_size < (needed := 2 * self.decisions):  # a round ends with a whole episode
+        # A round ends with a whole episode.
+        if self.decisions is not None and self.replay_size < (needed := 2 * self.decisions):
             raise ConfigError(
                 f"agent.replay_size: {self.replay_size} is too small; {needed} (twice "
                 "agent.decisions) or more is allowed"

@@ -31,7 +31,7 @@ class Mpc(MpcSettings, Controller):
     one core.
     """
 
-    baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
+    baselines: ClassVar[tuple[str, ...]] = ("geometric", "level")
     reference_settings: ClassVar[Mapping[str, Any]] = {"value": ""}
 
     _learned: LearnedValue | None = PrivateAttr(None)
@@ -108,7 +108,7 @@ class Planner(PlannerSettings, Controller):
     """
 
     searches_first: ClassVar[bool] = True
-    baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
+    baselines: ClassVar[tuple[str, ...]] = ("geometric", "level")
 
     _trained: Policy | None = PrivateAttr(None)
 
@@ -152,7 +152,7 @@ class ValueIteration(ValueIterationSettings, Controller):
 
     searches_first: ClassVar[bool] = True
     closed_loop: ClassVar[bool] = True
-    baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
+    baselines: ClassVar[tuple[str, ...]] = ("geometric", "level")
 
     _rewards: Mapping[str, RewardTerm] | None = PrivateAttr(None)
 

@@ -91,7 +91,8 @@ def make_plan(
     """Return the plan; the policies of several entrants play equal scenes one after the other.
 
     ``suite`` among the requests names a suite. ``baseline``: names of controllers that play the
-    same episodes; None stands for the policy's own, or for ``level,okada`` beside several policies.
+    same episodes; None stands for the policy's own, or for ``level,geometric`` beside several
+    policies.
     ``tell`` is called with lines on what a reader might not expect, on returns with ``returns``.
 
     Raises:

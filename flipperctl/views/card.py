@@ -188,7 +188,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
         if others:
             raise RequestError(
                 f"{folder}: it holds results of {', '.join(others)}, too; a card is of one policy "
-                "and its baselines: evaluate it with --baseline okada,level, alone"
+                "and its baselines: evaluate it with --baseline geometric,level, alone"
             )
         # Weights that have changed since then belong to another policy.
         for row in (row for row in rows if row["is_policy"]):

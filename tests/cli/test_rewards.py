@@ -76,7 +76,7 @@ def test_a_training_ends_with_what_the_inspection_says(
     assert "; flippers held still " in line
     found = json.loads((run / "summary.json").read_text())["regret"]
     again = ["conditions=trained", f"eval.seed={SEED}", "--episodes", "2"]
-    (inspected,) = regret(str(run), "level,okada", *again, cwd=tmp_path)
+    (inspected,) = regret(str(run), "level,geometric", *again, cwd=tmp_path)
     assert found["policy"] == inspected["policy"]
     assert found["references"] == inspected["references"]
     assert found["seed"] == inspected["seed"]
@@ -125,9 +125,9 @@ def test_whatever_happens_meanwhile_the_training_is_finished_and_goes_on(
 @pytest.mark.parametrize(
     ("teacher", "names"),
     [
-        ({"name": "okada"}, ["level", "okada"]),
-        ({"name": "okada", "rear_gain": 0.9}, ["level", "okada", "teacher"]),
-        ({"name": "mpc"}, ["level", "okada"]),  # it searches, which takes too long
+        ({"name": "geometric"}, ["level", "geometric"]),
+        ({"name": "geometric", "turn": 0.02}, ["level", "geometric", "teacher"]),
+        ({"name": "mpc"}, ["level", "geometric"]),  # it searches, which takes too long
     ],
 )
 def test_a_teacher_that_is_a_rule_is_compared(

@@ -27,24 +27,24 @@ def methods(done: Done) -> list[str]:
 
 
 def test_a_further_controller_is_the_only_one_that_plays(tmp_path: Path, played: list[int]) -> None:
-    done = call("eval", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
-    assert methods(done) == ["random", "okada", "level"]
+    done = call("eval", "random,geometric", *FLAT, "--output", "out", cwd=tmp_path)
+    assert methods(done) == ["random", "geometric", "level"]
     assert played == [0, 1, 2] * 3
     one = json.loads(done.out)["scenes"][1]
-    alone = json.loads(call("eval", "okada", *FLAT, cwd=tmp_path).out)["scenes"][0]
+    alone = json.loads(call("eval", "geometric", *FLAT, cwd=tmp_path).out)["scenes"][0]
     assert {key: one[key] for key in alone} == alone
     with (tmp_path / "out" / "episodes.csv").open(newline="") as file:
         seeds = [row["seed"] for row in csv.DictReader(file)]
     assert seeds[:3] == seeds[3:6] == seeds[6:]
 
     played.clear()
-    more = ("eval", "okada", "ohno", *FLAT)
+    more = ("eval", "geometric", "ohno", *FLAT)
     done = call(*more, "--output", "out", cwd=tmp_path)
-    assert methods(done) == ["okada", "ohno", "level"]
+    assert methods(done) == ["geometric", "ohno", "level"]
     assert played == [0, 1, 2]
     played.clear()
     done = call(*more, "--baseline", "none", "--output", "out", cwd=tmp_path)
-    assert methods(done) == ["okada", "ohno"]
+    assert methods(done) == ["geometric", "ohno"]
     assert not played
 
 
@@ -81,18 +81,18 @@ def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
         return build(self, config)
 
     monkeypatch.setattr(PolicySource, "build", failing)
-    done = call("eval", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
+    done = call("eval", "random,geometric", *FLAT, "--output", "out", cwd=tmp_path)
     assert done.code == CheckpointError.exit_code
     error = "error: random failed on flat: random: gone; all other results are complete"
     assert done.err.splitlines()[-1] == error
     document = json.loads(done.out)
-    assert [scene["method"] for scene in document["scenes"]] == ["okada", "level"]
+    assert [scene["method"] for scene in document["scenes"]] == ["geometric", "level"]
     assert document["failed"] == [
         {"controller": "random", "terrain": "flat", "error": "random: gone"}
     ]
     monkeypatch.setattr(PolicySource, "build", build)
-    again = call("eval", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
-    assert methods(again) == ["random", "okada", "level"]
+    again = call("eval", "random,geometric", *FLAT, "--output", "out", cwd=tmp_path)
+    assert methods(again) == ["random", "geometric", "level"]
 
 
 def test_a_list_of_rewards_is_played_with_each_by_all(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(sweep: Path) -> None
         rows = list(csv.DictReader((Path("out") / file).read_text().splitlines()))
         assert {row["training_seed"] for row in rows} == {"4", "9", ""}  # a rule has none
     rows = list(csv.DictReader((Path("out") / "episodes.csv").read_text().splitlines()))
-    assert {row["method"] for row in rows} == {"sweep", "level", "okada"}
+    assert {row["method"] for row in rows} == {"sweep", "level", "geometric"}
 
 
 def test_runs_of_one_seed_that_began_with_several_runs_are_several_methods(sweep: Path) -> None:
