@@ -234,9 +234,9 @@ class TopicRobot(Observer):
         Raises:
             FlipperctlError: in lockstep, no node answers.
         """
-        self.numbers, self._count = Numbers(), 0
         self._late.clear()
         self._base = _EPOCH + _BETWEEN * number
+        self._make = replace(self._make, origin=self._base)
         self._zero, self._cloud = None, (None, 0.0)
         self._now, self._when, self._speed = self._base, 0.0, 0.0
         self._watch, self._answered = CommandWatch(), -math.inf
@@ -244,11 +244,15 @@ class TopicRobot(Observer):
         with self._heard:
             self._ready = None
             while self._ready != begin and time.monotonic() < until:
+                # By the clock of this episode, a node knows what is still on its way of the last.
+                if self._link.simulated_clock:
+                    self._send("/clock", self._make.clock(0.0))
                 self._send("simulation/begin", self._make.number(begin))
                 self._heard.wait(0.2)
             self.answered = self._ready == begin
             if not self.answered and self._link.lockstep:
                 raise FlipperctlError("lockstep: no node has answered on simulation/ready")
+            self.numbers, self._count = Numbers(), 0
         sensor: Any = self._config.perception
         mount = self._make.mount(sensor.mount_x, sensor.mount_z, sensor.mount_axis)
         self._send("/tf_static", mount)

@@ -128,15 +128,19 @@ class FlipperController:
         self._period, self._limit = interface.decision_period, interface.targets.limit
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
         self._driving_speed = float(interface.robot.get("track_speed", 0.0))
-        self._last: float | None = None
         self.manual = False
         """Whether an operator drives: the controller stands by, and its map goes on."""
         self.reset()
 
-    def reset(self) -> None:
-        """Begin anew on level ground, as after the robot was carried: map and targets go."""
+    def reset(self, since: float = -math.inf) -> None:
+        """Begin anew on level ground, as after the robot was carried: map and targets go.
+
+        Messages that were stamped up to ``since`` [s], and arrive after it, tell of another place,
+        and are ignored. The clock may be another one from now on.
+        """
         self._states = States(self._limits)
-        self._begin(level=True)
+        self._last: float | None = None
+        self._begin(level=True, since=since)
 
     @property
     def pitch(self) -> float:
@@ -153,9 +157,9 @@ class FlipperController:
         if self._states.acknowledge() == "waiting":
             self._await()
 
-    def _begin(self, *, level: bool) -> None:
+    def _begin(self, *, level: bool, since: float = -math.inf) -> None:
         self._estimator = new_estimator(self.policy.interface, self._setup, level=level)
-        self._intake = Intake(self._setup, self._limits)
+        self._intake = Intake(self._setup, self._limits, since=since)
         self._begun: float | None = None  # time of the first step [s]
         self._decided = False
         self._answer = Answer(None, None, False, "waiting")

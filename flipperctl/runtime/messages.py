@@ -124,9 +124,9 @@ class Limits:
     standby_until: float = 0.3
     """Time of a larger speed after which the flippers stand by no longer [s]."""
     stall_error: float = 0.12
-    """Angle by which a flipper may be behind its commands, or leave them under a load [rad]."""
+    """Angle by which a flipper may be off its commands for longer than ``stall_time`` [rad]."""
     stall_time: float = 2.0
-    """Time of being behind after which a flipper counts as stalled [s]."""
+    """Time of being off its commands after which a flipper counts as stalled [s]."""
     stall_hold: float = 1.0
     """Time for which a stalled flipper is held where it is [s]."""
 

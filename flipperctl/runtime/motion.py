@@ -14,7 +14,7 @@ from flipperctl.runtime.messages import Limits
 from flipperctl.runtime.states import Fault
 
 _DEVIATION = 0.03
-"""Motion against a command that counts as long as a pair was not seen to obey [rad]."""
+"""Motion against a command that counts [rad]."""
 _MOVED = 0.01
 """Motion that is no noise, and in a command that is no rest [rad]."""
 _ENOUGH = 0.4
@@ -31,9 +31,10 @@ _AGAIN = 1.0
 class PairMotion:
     """Compares the commands of a pair with its angles, from the first command of a drive on.
 
-    Measured angles must stay within the commands of the last decision and the present target. Until
-    the pair has obeyed a turn, little motion out of that range is a fault that stops at once, and
-    the first commands must be: stay. Later, more of it is, which a load may cause too.
+    Until the pair has obeyed a turn, measured angles must stay within the commands of the last
+    decision and the present target: little motion out of that range is a fault that stops at once,
+    and the first commands must be: stay. Then signs and units are right, and what turns the pair
+    elsewhere is a load, as on most courses: only a pair that stays off its commands is a fault.
     """
 
     def __init__(
@@ -107,12 +108,12 @@ class PairMotion:
         self._angles.append((now, tuple(angles)))
         while self._angles[0][0] < now - 2 * self._late:
             self._angles.popleft()
-        return self._deviates(now) or self._lags(now, target)
+        return (None if self.obeys else self._deviates(now)) or self._lags(now, target)
 
     def angle(self, measured: float) -> float:
-        """Return where the pair is by its commands, after a fault of its motion [rad]."""
-        if self.obeys or not self._commands:
-            return self._commands[-1][1] if self._commands else measured
+        """Return where a pair that was not seen to obey is by its commands [rad]."""
+        if not self._commands:
+            return measured
         if self._last is not None and self._last[0] - self._jumped < _AGAIN:
             return 0.0  # in degrees, all that is measured within π is near 0
         return -measured if self._mirrored else measured
@@ -148,8 +149,7 @@ class PairMotion:
         moved = [(a + b) / 2 - c for a, b, c in zip(after, previous, before, strict=True)]
         start = sum(before) / len(before)
         outside = [_beyond(start + m, low, high) - _beyond(start, low, high) for m in moved]
-        limit = self._limits.stall_error if self.obeys else _DEVIATION
-        wrong = [m for m, out in zip(moved, outside, strict=True) if out > limit]
+        wrong = [m for m, out in zip(moved, outside, strict=True) if out > _DEVIATION]
 
         # The farthest motion, beside what was commanded
         turned = self._commands[-1][1] - self._commands[0][1]
@@ -167,7 +167,7 @@ class PairMotion:
         instruction = f"by {turned:+.2f} rad" if abs(turned) > _MOVED else "to stay"
         measured = ", ".join(f"{m:+.2f}" for m in moved)
         text = f"the {self._name} flippers were told {instruction}, and turned by {measured} rad"
-        return Fault(f"motion_{kind}", text, at_once=not self.obeys, strike=True)
+        return Fault(f"motion_{kind}", text, at_once=True, strike=True)
 
     def _lags(self, now: float, target: float) -> Fault | None:
         """Compare what was commanded half a decision ago with how far the pair has come since."""
@@ -190,25 +190,25 @@ class PairMotion:
             self._slow = self._slow + 1 if _MOVED < come < due / 2 else 0
             self.obeys = self.obeys or come >= due / 2
             if self._slow > self.obeys:
-                return self._slower("slow", come, due)
-        # A pair that is behind for long is blocked, if it does not even creep.
-        reached = [*past[-1:], *recent, target]
-        if _beyond(angle, min(reached), max(reached)) <= self._limits.stall_error:
+                return self._held("motion_slow", f"turned by {come:.2f} of {due:.2f} rad in time")
+        # A pair that is off its commands for long is blocked, if it does not even creep.
+        reached, lasts = [*past[-1:], *recent, target], self._limits.stall_time
+        off = _beyond(angle, min(reached), max(reached))
+        if off <= self._limits.stall_error:
             self._missed = None
         elif self._missed is None:
             self._missed, self._from = now, angle
-        elif now - self._missed >= self._limits.stall_time:
-            crept = abs(angle - self._from)
-            return self._slower("stall" if crept < _MOVED else "slow", crept, abs(target - angle))
+        elif now - self._missed >= lasts:
+            if abs(angle - self._from) < _MOVED:
+                return self._held("stall", "do not follow")
+            text = f"were off their commands for {lasts:g} s, now by {off:.2f} rad"
+            return self._held("motion_slow", text)
         return None
 
-    def _slower(self, kind: str, come: float, due: float) -> Fault:
+    def _held(self, name: str, what: str) -> Fault:
         self._missed, self._slow = None, 0
         hold = f"they are held where they are for {self._limits.stall_hold:g} s"
-        if kind == "stall":
-            return Fault("stall", f"the {self._name} flippers do not follow; {hold}", strike=True)
-        text = f"the {self._name} flippers turned by {come:.2f} of {due:.2f} rad in time; {hold}"
-        return Fault("motion_slow", text, strike=True)
+        return Fault(name, f"the {self._name} flippers {what}; {hold}", strike=True)
 
 
 def _beyond(angle: float, low: float, high: float) -> float:

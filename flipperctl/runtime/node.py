@@ -159,11 +159,14 @@ class RobotNode:
         self.controller.acknowledge()
         return "acknowledged"
 
-    def reset(self) -> None:
-        """Begin anew on level ground, as after the robot was carried; by another clock, too."""
+    def reset(self, since: float = -math.inf) -> None:
+        """Begin anew on level ground, as after the robot was carried; by another clock, too.
+
+        Messages that were stamped up to ``since`` [s] and are still on their way are ignored.
+        """
         self._cloud = self._angles = self._belts = self._measured = self._goal = None
         self._joints = self.devices.newest_joints()
-        self.controller = self._begun()
+        self.controller.reset(since)
 
     # What arrives
 

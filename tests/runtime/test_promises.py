@@ -10,7 +10,18 @@ import pytest
 
 from flipperctl.runtime import FlipperController, RobotSetup
 from tests.runtime.linear import ROBOT, RULE, write
-from tests.runtime.robot import RATES, SETUP, Robot, changes, faults, first, joint_angles, turned
+from tests.runtime.robot import (
+    RATES,
+    SETUP,
+    TICK,
+    TURN,
+    Robot,
+    changes,
+    faults,
+    first,
+    joint_angles,
+    turned,
+)
 
 
 @pytest.fixture(scope="module")
@@ -308,6 +319,21 @@ def test_flippers_that_do_not_follow_stall_and_then_stop(build: Any, kind: str) 
     moments = robot.run_until_latched(14.0, frozen)
     assert faults(moments) <= {"stall", "motion_slow"}
     assert moments[-1].answer.latched
+
+
+@pytest.mark.parametrize(("seconds", "named"), [(0.8, set()), (6.0, {"motion_slow"})])
+def test_a_load_turns_flippers_that_have_obeyed_and_is_no_wrong_sign_or_unit(
+    build: Any, seconds: float, named: set[str]
+) -> None:
+    """One that lasts, as of a motor that runs away, stops until it is acknowledged."""
+    robot, moments = build(), []
+    robot.run(3.0)
+    for _ in range(round(seconds / TICK)):
+        robot.angles[:2] = [angle + 2 * TURN * TICK for angle in robot.angles[:2]]
+        moments += robot.run(TICK)
+    assert turned(moments) > 0.3
+    assert faults(moments) == named
+    assert moments[-1].answer.latched is bool(named)
 
 
 def test_flippers_beyond_the_limits_are_held_there_and_turned_back_by_decisions(build: Any) -> None:

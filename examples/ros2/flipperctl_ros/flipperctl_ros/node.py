@@ -222,7 +222,7 @@ class FlipperNode(LifecycleNode):
         """Begin anew with an episode of a simulated robot, and say so."""
         if message.data != self.episode:  # it is repeated until the answer has arrived
             self.episode = message.data
-            self.robot.reset()
+            self.robot.reset(self.now())
             if self.lockstep is not None:
                 self.lockstep.begin()
         self.ready.publish(message)
@@ -293,7 +293,7 @@ class FlipperNode(LifecycleNode):
 
     def on_reset(self, request, response):
         """Begin anew on level ground, as after the robot was carried."""
-        self.robot.reset()
+        self.robot.reset(self.now())
         response.success, response.message = True, "the map is empty"
         return response
 
