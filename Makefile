@@ -40,7 +40,7 @@ train: install
 	$(BIN)/flipperctl train terrain=uplift train.decisions=$(DECISIONS) \
 		--output runs/uplift/make_$$(date +%Y-%m-%d_%H-%M-%S)
 	$(BIN)/flipperctl eval "$$(ls -td runs/uplift/make_* | head -n 1)" \
-		--episodes 50 --baseline level,okada
+		--episodes 50 --baseline level,geometric
 	@echo "To type flipperctl in this shell: . $(VENV)/bin/activate"
 
 # The static checks stand back behind the tests, which run beside them.
