@@ -17,6 +17,7 @@ from typer.core import TyperCommand, TyperGroup, TyperOption
 from flipperctl.cli import plugged
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.terminal.streams import print_note
+from flipperctl.text.elsewhere import called_here, here
 
 
 class Command(TyperCommand):
@@ -105,6 +106,8 @@ class Group(TyperGroup):
         """Return the subcommand that the words begin with, also one of a file of ``--plugins``."""
         if args[0] not in self.commands and not ctx.resilient_parsing:
             plugged.load_files(args)
+        if args[0] not in self.commands and (ours := here(args[0])):
+            raise RequestError(f"there is no command {args[0]!r}; here it is {ours}")
         return super().resolve_command(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -145,7 +148,7 @@ def _refuse_unknown(words: Sequence[str], known: Sequence[str]) -> None:
         if name not in ("-", *known):
             long = {option.removeprefix("--"): option for option in known if option[:2] == "--"}
             close = closest(name.lstrip("-"), long)
-            hint = suggestion(*([long[close]] if close else []))
+            hint = called_here(name) or suggestion(*([long[close]] if close else []))
             written = hint or "; policies are words, and settings key=value"
             raise RequestError(f"no such option: {name}{written}")
 

@@ -220,7 +220,9 @@ def map_success(
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recorded failure.")],
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="A recorded failure, or a folder: its first.")
+    ],
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="RUN_OR_FILE", help="The policy, if it has moved since.")
     ] = None,
@@ -243,8 +245,15 @@ def replay(
     """
     from flipperctl.requests.replay import lines, replay_file
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.text.messages import counted
     from flipperctl.text.show import console, print_lines
 
+    if file.is_dir():
+        failures = sorted(file.glob("failure_*.json"))
+        if not failures:
+            raise RequestError(f"{file}: the folder has no failure_….json; all was reached there")
+        print_note(f"the first of {counted(len(failures), 'failure')}: {failures[0].name}")
+        file = failures[0]
     replayed = replay_file(
         file, checkpoint, output, film, progress=episodes_progress, tell=print_note
     )

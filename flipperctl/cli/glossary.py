@@ -13,9 +13,9 @@ action: What a policy chooses at a decision: each flipper pair turns up, stays o
     actions in all.
 AT-D3QN: The paper's network and learner: a double dueling DQN with separate layers for the terrain
     and the robot. network=at_d3qn
-baseline: A rule without learning that policies are compared with, such as level or okada.
-best validation: The validation of a training with the highest success, then the least pitch
-    variation (train.best_by). Its weights are the run's policy.
+baseline: A rule without learning that policies are compared with, such as level or geometric.
+best validation: The validation of a training with the most reward (train.best_by). Its weights
+    are the run's policy.
 bin: A piece of the ground 0.15 m long around the robot. The observation holds the mean height of
     each of 15 bins, and their highest points.
 checkpoint: A file with the weights of a policy and its whole configuration. best.safetensors is
@@ -41,8 +41,9 @@ hash: A short code of all settings that shape an episode. Results with equal has
 Holm: A correction of p values for several comparisons, which keeps the chance of any false alarm
     at 5 %.
 interval: The range in square brackets that contains the true mean in 95 of 100 evaluations:
-    bootstrap for means, Wilson for rates.
-IQM: Interquartile mean: the mean of the middle half of the episodes, which ignores outliers.
+    Student's t for means, Wilson's for rates.
+IQM: Interquartile mean: the mean of the middle half of the mean scores of training seeds on scenes,
+    which ignores outliers.
 level: The baseline that holds both flipper pairs still at 0 rad. It is strong on stairs and ramps.
 mpc: Model predictive control: a controller that simulates what follows each action, takes the best
     one, and plans again at the next decision.

@@ -106,12 +106,15 @@ def explain(
     from flipperctl.cli import catalogue
     from flipperctl.cli.glossary import GLOSSARY
     from flipperctl.terminal import names as printed
+    from flipperctl.text.elsewhere import here
     from flipperctl.text.messages import close_match
 
     # A word of the tables, a name or a setting; otherwise the nearest ones
     word = " ".join(words)
     commands = _commands(context)
     meaning = {w.lower(): text for w, text in GLOSSARY.items()}.get(word.lower())
+    if meaning is None and (ours := here(word)):
+        meaning = f"A word of other tools. Here it is {ours}"
     named = [
         entry
         for groups in catalogue.KINDS.values()

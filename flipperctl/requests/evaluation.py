@@ -218,6 +218,7 @@ class _Files:
                     *(partial(self._traces.draw, path / name, entry) for name, entry in drawn),
                     lambda: report.write(path, path / report.FILE),
                 )
+                self._tell(f"report: {path / report.FILE}")
 
         def film() -> None:
             if self._filming is not None:

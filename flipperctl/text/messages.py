@@ -9,6 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+from flipperctl.text.elsewhere import called_here
+
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
     from pydantic import BaseModel, ValidationError
 
@@ -68,8 +70,15 @@ def broken_hint(name: str = "") -> str:
 
 def missing_name(name: str, known: Iterable[str]) -> str:
     """Return a hint about a plugin that is not found: its close match, or how one is loaded."""
-    hint = broken_hint(name) or close_match(name, known) or broken_hint()
+    hint = broken_hint(name) or file_here(name) or close_match(name, known) or broken_hint()
     return hint or "; a plugin of your own is loaded by --plugins FILE"
+
+
+def file_here(name: str) -> str:
+    """Return a hint at a file of Python in the current folder; empty without one."""
+    file = Path(f"{name}.py")
+    known = name.isidentifier() and file.exists()
+    return f" ({file} is here: add --plugins {file})" if known else ""
 
 
 def missing_plugin(kind: str, name: str, file: str | Path | None) -> str:
@@ -94,6 +103,12 @@ def bounds(model: type[BaseModel], field: str) -> str:
             if value is not None:
                 parts.append(f"{sign} {value:g}")
     return ", ".join(parts)
+
+
+def _allowed(model: type[BaseModel], field: str) -> str:
+    """Return the bounds of a field with its unit, as in ``> 0, ≤ 0.4 m``."""
+    measured = unit(model, field)
+    return f"{bounds(model, field)} {'' if measured == '-' else measured}".rstrip()
 
 
 def unit(model: type[BaseModel], field: str) -> str:
@@ -131,7 +146,7 @@ def explain(
     # The errors that have a text of their own: an unknown key and an unknown plugin
     leaf = str(first["loc"][-1]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
-        hint = close_match(leaf, known)
+        hint = called_here(leaf) or file_here(leaf) or close_match(leaf, known)
         return f"{location}: there is no such key{hint}; known: {', '.join(known)}"
     if first["type"] == "unknown_plugin":
         name, known = first["ctx"]["name"], first["ctx"]["known"]
@@ -141,7 +156,7 @@ def explain(
         )
 
     # For all others the validator's message, with the bounds and the value that it leaves out
-    allowed = f" ({bounds(owner, leaf)})" if owner and bounds(owner, leaf) else ""
+    allowed = f" ({_allowed(owner, leaf)})" if owner and bounds(owner, leaf) else ""
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
     message = " ".join(first["msg"].removeprefix("Value error, ")[:_LONGEST].split())
@@ -166,10 +181,11 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
     place = f"{inside}={node['name']}" if "name" in node else inside
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
     hint = suggestion(*inner, quoted=False) if len(inner) <= 3 else ""
+    other = called_here(leaf) or file_here(leaf)
     if inside and not known:
         return f"{key}: there is no such key; {place} has no settings here"
     return (
-        f"{key}: there is no such key{hint or close_match(leaf, known)}; "
+        f"{key}: there is no such key{hint or other or close_match(leaf, known)}; "
         f"known {'in ' + place if place else 'groups and keys'}: {', '.join(known)}"
     )
 

@@ -1,12 +1,15 @@
 """Close matches: typical slips find the word that was meant, other words find nothing."""
 
+from pathlib import Path
+
 import pytest
 
 from flipperctl.api import registry
 from flipperctl.api.plugin import Plugin
 from flipperctl.errors import MissingExtraError, missing_package
 from flipperctl.plugging.guard import naming
-from flipperctl.text.messages import close_match, closest
+from flipperctl.text.elsewhere import here
+from flipperctl.text.messages import close_match, closest, explain_unknown_key
 from tests.cli.call import COMMANDS
 
 PLUGINS = sorted(name for _, name in registry)
@@ -42,3 +45,20 @@ class Plug(Plugin):
 
     kind = "robot"
     plugin_name = "x"
+
+
+@pytest.mark.parametrize(
+    ("typed", "ours"),
+    [("lr", "agent.learning_rate"), ("--env-id", "terrain=NAME"), ("gamma", None)],
+)
+def test_words_of_other_tools_lead_to_ours(typed: str, ours: str | None) -> None:
+    assert here(typed) == ours
+
+
+def test_a_plugin_in_the_current_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("calm.py").touch()
+    text = explain_unknown_key("rewards.calm", {"rewards": {"end": {}}})
+    assert "(calm.py is here: add --plugins calm.py)" in text
