@@ -42,7 +42,8 @@ class Command(TyperCommand):
         options = [p for p in self.get_params(ctx) if isinstance(p, TyperOption)]
         single = [p for p in options if not (p.is_flag or p.multiple or p.count)]
         for option in single:  # collect all values, of which click would keep the last
-            parser.add_option(obj=option, opts=option.opts, dest=option.name, action="append")
+            names, nargs = option.opts, option.nargs
+            parser.add_option(option, opts=names, dest=option.name, action="append", nargs=nargs)
         values, words, _ = parser.parse_args(list(args))
         if values.get("help"):
             return

@@ -6,9 +6,11 @@ time by default, faster or slower by a rate, or in lockstep: then each sample wa
 answer, so that an episode is repeatable. Motors without a command stand.
 
 A node that follows these topics needs nothing of flipperctl. ``simulation/begin`` tells that an
-episode begins, by a number that is repeated until the node answers it on ``simulation/ready``. In
-lockstep ``simulation/tick`` holds the time of a sample, and how many messages of the four devices
-there were in this episode; the node answers with a command of that stamp.
+episode begins, and when by the clock of the robot, or in lockstep by that of this machine. So a
+node knows what is still on its way of the last episode. It is repeated until the node answers it on
+``simulation/ready``. In lockstep ``simulation/tick`` holds the time of a sample, and how many
+messages of the four devices there were in this episode; the node answers with a command of that
+stamp.
 """
 
 from __future__ import annotations
@@ -38,9 +40,11 @@ from flipperctl.runtime.devices import Devices
 from flipperctl.runtime.states import CommandWatch
 
 _EPOCH = 1_000_000.0
-"""Clock at the begin of the first simulated episode [s]."""
+"""Clock at the begin of the first episode in lockstep [s]."""
 _BETWEEN = 1000.0
-"""Time between two begins [s]."""
+"""Time between two begins there [s]."""
+_APART = 1.0
+"""Least time between two episodes otherwise [s]."""
 _DISCOVERY = 10.0
 """Longest time in which another node is expected to listen [s]."""
 _ANSWER = 20.0
@@ -235,16 +239,18 @@ class TopicRobot(Observer):
             FlipperctlError: in lockstep, no node answers.
         """
         self._late.clear()
-        self._base = _EPOCH + _BETWEEN * number
+        begin = time.time()  # which no other simulator has told before
+        if self._link.simulated_clock:
+            begin = max(begin, self._now + _APART)
+        self._base = _EPOCH + _BETWEEN * number if self._link.lockstep else begin
         self._make = replace(self._make, origin=self._base)
         self._zero, self._cloud = None, (None, 0.0)
         self._now, self._when, self._speed = self._base, 0.0, 0.0
         self._watch, self._answered = CommandWatch(), -math.inf
-        begin, until = time.time(), time.monotonic() + _DISCOVERY  # no number comes twice
+        until = time.monotonic() + _DISCOVERY
         with self._heard:
             self._ready = None
             while self._ready != begin and time.monotonic() < until:
-                # By the clock of this episode, a node knows what is still on its way of the last.
                 if self._link.simulated_clock:
                     self._send("/clock", self._make.clock(0.0))
                 self._send("simulation/begin", self._make.number(begin))

@@ -135,8 +135,8 @@ class FlipperController:
     def reset(self, since: float = -math.inf) -> None:
         """Begin anew on level ground, as after the robot was carried: map and targets go.
 
-        Messages that were stamped up to ``since`` [s], and arrive after it, tell of another place,
-        and are ignored. The clock may be another one from now on.
+        Messages stamped before ``since`` [s] tell of another place, and are ignored. The clock may
+        be another one from now on.
         """
         self._states = States(self._limits)
         self._last: float | None = None
@@ -263,10 +263,14 @@ class FlipperController:
             return Fault("clock", text, at_once=True)
         if self._last is None:
             return None
-        elapsed = time - self._last
+        elapsed, since = time - self._last, self._intake.since
         if 0 <= elapsed <= self._limits.clock_jump:
             return None
-        self._begin(level=False)  # it may stand on an obstacle
+        if elapsed > 0 and not self._intake.known:  # as of a simulated clock that begins
+            self._begun = None
+            return None
+        # It may stand on an obstacle.
+        self._begin(level=False, since=since if elapsed > 0 else -math.inf)
         self._last = time
         return Fault(
             "clock_jump",

@@ -68,10 +68,10 @@ class Intake:
     ) -> None:
         """``cloud_needs``: devices that tell the posture with which a cloud enters the map.
 
-        ``since``: messages stamped up to then are skipped, unless the clock is behind it [s].
+        ``since``: messages stamped before are skipped [s].
         """
         self._setup, self._limits, self._cloud_needs = setup, limits, cloud_needs
-        self._since = since
+        self.since = since
         self._times: dict[str, float] = {}
         self._refused: dict[str, Fault] = {}
         self._tilts = Tilts()
@@ -214,7 +214,7 @@ class Intake:
                 f"is stamped {time - now:.3f} s ahead of the clock",
                 f"{self._limits.ahead:g} s ahead",
             )
-        if time <= self._times.get(device, -math.inf) or time <= self._since <= now:
+        if time <= self._times.get(device, -math.inf) or time < self.since:
             return None
         if isinstance(message, Cloud):
             self._check_posture(time)

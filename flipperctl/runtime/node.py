@@ -162,7 +162,7 @@ class RobotNode:
     def reset(self, since: float = -math.inf) -> None:
         """Begin anew on level ground, as after the robot was carried; by another clock, too.
 
-        Messages that were stamped up to ``since`` [s] and are still on their way are ignored.
+        Messages stamped before ``since`` [s], which may still be on their way, are ignored.
         """
         self._cloud = self._angles = self._belts = self._measured = self._goal = None
         self._joints = self.devices.newest_joints()

@@ -97,3 +97,21 @@ def test_a_training_keeps_the_results_in_its_folder(tmp_path: Path) -> None:
     assert done.code == 2
     assert "summary.json is not of a run" in done.err
     assert (tmp_path / "summary.json").read_text() == "of an evaluation"
+
+
+def test_an_option_of_two_numbers_takes_negative_ones(tmp_path: Path) -> None:
+    (tmp_path / "span.py").write_text(
+        """
+from typing import Annotated
+import typer
+from flipperctl.api import command
+
+@command("span")
+def span(over: Annotated[tuple[float, float], typer.Option()] = (0.0, 1.0)) -> None:
+    "Print two numbers."
+    print(over)
+"""
+    )
+    words = "span", "--plugins", "span.py", "--over", "3", "-5"
+    assert call(*words, cwd=tmp_path).out == "(3.0, -5.0)\n"
+    assert "--over is given twice" in refused(*words, "--over", "1", "2", cwd=tmp_path)

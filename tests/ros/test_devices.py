@@ -59,6 +59,8 @@ def test_an_evaluation_and_a_training_take_the_devices(rover: Path) -> None:
     assert (chosen.code, "mount_axis" in chosen.out) == (0, False)
     changed = call("inspect", "config", *words, "perception.overall_width=0.7", cwd=rover).out
     assert "overall_width: 0.7" in changed  # what is typed counts
+    trained = call("train", body, "device=none", cwd=rover)  # it says so before anything else
+    assert trained.err.startswith("perception=lidar, as devices of a robot are named\n")
     refused = call("eval", "okada", "devices=none.yaml", cwd=rover)
     assert (refused.code, refused.err.count("\n")) == (2, 1)
     assert "none.yaml cannot be read" in refused.err

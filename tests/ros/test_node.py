@@ -171,21 +171,6 @@ def test_an_arm_and_a_second_lidar_do_not_disturb_it(file: Path, stream: Stream)
     assert set(driver.warnings) == {"clouds come in lidar and in camera"}
 
 
-@pytest.mark.parametrize("ahead", [0.0, 60.0])
-def test_messages_of_before_a_reset_are_ignored(file: Path, stream: Stream, ahead: float) -> None:
-    """As of the simulated episode before; by a clock that begins earlier, all are of after it."""
-    driver, half = Driver(file, stream), len(stream) // 2
-    driver.play(stream[:half])
-    now = stream[half - 1][0]
-    driver.node.reset(now + ahead)
-    driver.told.clear()
-    driver.play([(now, topic, message) for _, topic, message in stream[half - 60 : half]])
-    assert ("driving" in driver.states) is (ahead > 0)
-    driver.play(stream[half:])
-    assert driver.states[-1] == "driving"
-    assert "clock_jump" not in driver.faults
-
-
 def jumps(stream: Stream) -> Stream:
     begun = stream[0][0]
     return [(t + (60 if t > begun + 1 else 0), topic, m) for t, topic, m in stream]

@@ -231,6 +231,22 @@ def test_a_clock_that_jumps_stops_at_once_until_it_is_acknowledged(
     assert after[-1].runs is stamps
 
 
+def test_messages_of_before_a_reset_are_ignored_until_its_clock_begins(build: Any) -> None:
+    """As of the last simulated episode, on their way while the node is told of the next."""
+    robot = build()
+    robot.run(2.0)
+    robot.controller.reset(since=1000.0)
+    late = robot.run(0.5)
+    assert {m.answer.state for m in late} == {"waiting"}
+
+    def shifted(device: str, message: dict[str, Any]) -> None:
+        message["time"] += 1000.0
+
+    moments = robot.run(1.0, shifted, clock=lambda time: time + 1000.0)
+    assert "clock_jump" not in faults(moments)
+    assert moments[-1].answer.state == "driving"
+
+
 def test_a_driver_that_sleeps_holds(build: Any) -> None:
     robot = build()
     robot.run(2.0)

@@ -67,6 +67,8 @@ def train(
     several = _several(requests, multirun=multirun)
     checked = config_dir is None
     requests.check_training(several=several or not checked)
+    if requests.choice("perception") is None and "perception=lidar" in requests.words:
+        print_note("perception=lidar, as devices of a robot are named")
     configs = _check(requests) if checked else []
     folder = ["--config-dir", str(config_dir)] if config_dir else []
     words = [*(["--multirun"] if multirun else []), *folder, *requests.words]

@@ -4,6 +4,8 @@
         python -m flipperctl.runtime --self-test - devices=robot.yaml
 
 Joints and belts keep the names, signs and units of their topics. Clouds are thinned, one in 0.5 s.
+An Imu keeps its frame: one that is not frames.base is turned by the node alone, which knows tf. The
+self-test refuses it and names the frame.
 """
 
 import json

@@ -222,7 +222,7 @@ class FlipperNode(LifecycleNode):
         """Begin anew with an episode of a simulated robot, and say so."""
         if message.data != self.episode:  # it is repeated until the answer has arrived
             self.episode = message.data
-            self.robot.reset(self.now())
+            self.robot.reset(since=message.data)
             if self.lockstep is not None:
                 self.lockstep.begin()
         self.ready.publish(message)
