@@ -6,7 +6,8 @@ A table stands between ``<!-- results: FILE COLUMN … -->`` and ``<!-- end -->`
 ``COLUMNS``, of the policy or, as in ``swing:okada``, of a baseline: with ``method`` a row for each
 scene and method, otherwise one for each scene. Files ``shipped_SUITE.json`` have the tables
 ``overview``, a row for each method, ``scenes``, a row for each scene and a column for each method,
-and ``trainings``, the settings, instead; files ``cells_NAME.json`` the table ``cells``. ``--check``
+and ``trainings``, the settings, instead; files ``cells_NAME.json`` the table ``cells``; the folder
+``benchmark`` those of ``benchmarks/leaderboard.py``. ``--check``
 writes nothing and exits with code 1 if a page disagrees with its results. ``python -m
 benchmarks.results`` makes the results.
 """
@@ -20,6 +21,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from benchmarks import leaderboard
 from flipperctl.errors import RequestError
 from flipperctl.process import entry
 from flipperctl.text.files import write_bytes
@@ -58,6 +60,8 @@ def rewritten(text: str, folder: Path = FOLDER) -> str:
 
 
 def _lines_of(path: Path, names: Sequence[str]) -> list[str]:
+    if path.is_dir():
+        return leaderboard.lines(path, *names)
     try:
         document: Document = json.loads(path.read_text(encoding="utf-8"))
         if path.name.startswith(SHIPPED):

@@ -26,12 +26,9 @@ from flipperctl.cli.main import app
 from flipperctl.config import EvalConfig
 from flipperctl.config.describe import Field, fields
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.benchmark import find_benchmark, read_result, scores
 from flipperctl.export.metadata import describe_observation
 from flipperctl.plugging import plugins
 from flipperctl.requests import compose
-from flipperctl.text.show import Column, Table, markdown
-from flipperctl.views.benchmark import Document, document, table
 
 HEADINGS: Mapping[str, str] = {
     "terrain": "Terrains",
@@ -155,37 +152,6 @@ def glossary() -> str:
     return "\n".join(_rows(("word", "meaning"), GLOSSARY.items()))
 
 
-def leaderboard() -> str:
-    """Return the scores of the result files of the repository, best first."""
-    return "\n".join(markdown(table(_benchmarked(), scenes=False)))
-
-
-def scenes() -> str:
-    """Return the score of each method on each scene of the benchmark, with intervals."""
-    methods = sorted(_benchmarked(), key=lambda m: float(m["tracks"]["plane"]["ratio"]["mean"]))
-    columns = Column("scene", "scene"), *(Column(m["method"], m["method"], 2) for m in methods)
-    rows = [
-        {
-            "scene": scene,
-            **{m["method"]: m["tracks"]["plane"]["scenes"][scene]["ratio"] for m in methods},
-        }
-        for scene in methods[0]["tracks"]["plane"]["scenes"]
-    ]
-    return "\n".join(markdown(Table(columns=columns, rows=rows)))
-
-
-def _benchmarked() -> list[Document]:
-    plugins.load()
-    folder = Path(__file__).parent / "results" / "benchmark"
-    methods = []
-    for file in sorted(folder.glob("*.json")):
-        result = read_result(file)
-        version = find_benchmark(result.benchmark)
-        result.check(file, version)
-        methods.append(document(result, scores(result, version)))
-    return methods
-
-
 TEXTS: Mapping[str, Callable[[], str]] = {
     "glossary": glossary,
     "settings": settings,
@@ -195,8 +161,6 @@ TEXTS: Mapping[str, Callable[[], str]] = {
     "actions": actions,
     "observation": observation,
     "measures": measures,
-    "leaderboard": leaderboard,
-    "scenes": scenes,
 }
 """Texts that pages can ask for."""
 

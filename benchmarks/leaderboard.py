@@ -1,0 +1,69 @@
+"""Tables of the benchmark's result files, for ``python -m benchmarks.tables``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from flipperctl.api import Outcome
+from flipperctl.evaluation.benchmark import BenchmarkResult, find_benchmark, read_result, scores
+from flipperctl.plugging import plugins
+from flipperctl.text.show import Column, Table, markdown
+from flipperctl.views.benchmark import document, table
+
+_SHOWN = "generalist", "geometric", "okada", "level"
+"""Methods whose pitch variation stands beside each other."""
+
+
+def results(folder: Path) -> list[BenchmarkResult]:
+    """Return the result files of a folder; each is checked against its version's scenes."""
+    plugins.load()
+    read = {file: read_result(file) for file in sorted(folder.glob("*.json"))}
+    for file, result in read.items():
+        result.check(file, find_benchmark(result.benchmark))
+    return list(read.values())
+
+
+def leaderboard(files: Sequence[BenchmarkResult]) -> Table:
+    """Return the scores of all methods, best first."""
+    return table([document(r, scores(r, find_benchmark(r.benchmark))) for r in files], scenes=False)
+
+
+def by_scene(files: Sequence[BenchmarkResult]) -> Table:
+    """Return the score of each method on each scene, with intervals."""
+    played = {r.method: scores(r, find_benchmark(r.benchmark)) for r in files}
+    methods = sorted(played, key=lambda method: played[method]["plane", ""].ratio.mean)
+    rows = [
+        {"scene": scene, **{m: played[m][track, scene].ratio.to_dict() for m in methods}}
+        for track, scene in played[methods[0]]
+        if scene
+    ]
+    return Table((Column("scene", "scene"), *(Column(m, f"`{m}`", 2) for m in methods)), rows)
+
+
+def crossings(files: Sequence[BenchmarkResult]) -> Table:
+    """Return the mean pitch variation of what a policy and rules reached on each scene."""
+    methods = {r.method: r for r in files if r.method in _SHOWN}
+    rows = []
+    for at, scene in enumerate(methods[_SHOWN[0]].scenes):
+        row = {"ground": scene.scene}
+        for name in _SHOWN:
+            (played,) = methods[name].scenes[at].policies
+            pairs = zip(played.outcomes, played.pitch_variation_100hz, strict=True)
+            crossed = [v for outcome, v in pairs if outcome == Outcome.REACHED and v is not None]
+            few = f" ({len(crossed)})" if len(crossed) < len(played.outcomes) else ""
+            row[name] = f"{sum(crossed) / len(crossed):.2f}{few}"
+        rows.append(row)
+    return Table((Column("ground", "ground"), *(Column(n, f"`{n}`") for n in _SHOWN)), rows)
+
+
+TABLES: Mapping[str, Callable[[Sequence[BenchmarkResult]], Table]] = {
+    "leaderboard": leaderboard,
+    "scenes": by_scene,
+    "crossings": crossings,
+}
+
+
+def lines(folder: Path, name: str) -> list[str]:
+    """Return the lines of a table as Markdown."""
+    return list(markdown(TABLES[name](results(folder))))
