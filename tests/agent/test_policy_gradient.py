@@ -174,3 +174,13 @@ def test_the_newest_transitions_come_in_their_order_across_the_end_of_the_ring()
         if number == 0:
             kept.keep()  # the others share the remaining 3 rows
     assert kept.newest(100).reward.tolist() == [4, 5, 6]
+
+
+@pytest.mark.parametrize(
+    ("given", "budget", "size"),
+    [(None, 30_000, 2048), (None, 400_000, 10_000), (None, 2_000_000, 24_576), (64, 400_000, 64)],
+)
+def test_a_round_is_a_fortieth_of_the_budget(given: int | None, budget: int, size: int) -> None:
+    settings = PolicyGradient(decisions=given, replay_size=60_000)
+    assert settings.round_size(budget) == size
+    assert PolicyGradient(replay_size=1000).round_size(budget) == 500
