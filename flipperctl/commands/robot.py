@@ -307,6 +307,40 @@ def drive(
     show(document, lambda: print_field_drive(document), as_json=as_json)
 
 
+def identify(
+    bag: Annotated[Path, typer.Argument(help="A bag of ROS 1 or 2 of a robot that was driven.")],
+    overrides: options.Overrides = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="The robot's file to write.")
+    ] = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Estimate a robot's speeds, delay, torque and friction from a recorded drive.
+
+    BAG has the flippers' joints and commands, an Imu, the robot's poses and the speed of its belts.
+    Each value has an interval of 95 %, or a sentence on the drive that would tell it
+    (docs/robot.md has the drive that tells all). The file has the values and their intervals; train
+    and eval take it as robot=FILE.
+
+    OVERRIDES are the robot's measures and masses, and its devices, as in robot=mine.yaml.
+
+    [bold]Examples[/]
+
+      flipperctl robot identify recorded_bag robot=mine.yaml --output identified.yaml
+
+      flipperctl robot identify run.mcap robot=mine.yaml devices=mine.yaml --json
+    """
+    from flipperctl.ros.identify import FILE, identify
+    from flipperctl.terminal.tables import print_identified
+    from flipperctl.text.files import check_output
+
+    if output is not None:
+        check_output(output, FILE)
+    config, _, _, devices = recorded_robot(overrides)
+    document = identify(bag, config.robot, devices, output)
+    show(document, lambda: print_identified(document), as_json=as_json)
+
+
 def self_test(
     messages: Annotated[str, typer.Argument(help="Lines of JSON, or - for a pipe.")],
     overrides: options.Overrides = None,

@@ -170,7 +170,7 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Recording
     """
     scans, sizes, count, points = [], Counter[int](), 0, 0
     # Each point is placed by the poses at its own time, since the robot moves while a LiDAR turns.
-    recording = read_recording(source, names, clouds_alone=True)
+    recording = read_recording(source, names, motion=False)
     transforms, repeated = recording.transforms, recording.checked.repeated
     topic = recording.used.clouds
     with opened(source) as reader:

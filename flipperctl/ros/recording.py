@@ -208,15 +208,17 @@ class Recording:
         return Attitude.from_imu(time, self.names.base, (x, y, z, w), about)
 
 
-def read_recording(path: Path, names: Names, *, clouds_alone: bool = False) -> Recording:
-    """Return what a bag holds, or its clouds alone; its messages are not read yet."""
+def read_recording(
+    path: Path, names: Names, *, clouds: bool = True, motion: bool = True
+) -> Recording:
+    """Return what a bag holds of ``clouds`` and ``motion``; its messages are not read yet."""
     remarks: list[str] = []
     with opened(path) as reader:
         # The devices, and where each is
         topics = (
-            Topics(cloud_topic(path, reader, names))
-            if clouds_alone
-            else found_devices(path, reader, names, remarks)
+            found_devices(path, reader, names, remarks, clouds=clouds)
+            if motion
+            else Topics(cloud_topic(path, reader, names))
         )
         transforms = read_transforms(path, reader)
         frames = (m.header.frame_id.lstrip("/") for *_, m in messages(reader, [topics.clouds]))

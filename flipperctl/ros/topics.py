@@ -51,6 +51,8 @@ class Names:
     """Where the LiDAR is, if the bag has no transform of its frame."""
     likely: Sequence[str] = ()
     """Topics that are taken where several could be meant."""
+    command: str = ""
+    """Topic of the joints' commands, which measures no angle."""
 
     @classmethod
     def of(cls, devices: Devices, **others: Any) -> Names:
@@ -66,6 +68,7 @@ class Names:
             "belt_scale": devices.belts.scale,
             "mount": devices.mount,
             "likely": (topics.clouds, topics.imu, topics.belts),
+            "command": f"/{topics.joint_command.lstrip('/')}",
         }
         return cls(**(names | {name: value for name, value in others.items() if value is not None}))
 
@@ -80,6 +83,7 @@ class Topics:
     """The topics of a robot's devices."""
 
     clouds: str
+    """Topic of the clouds; empty if they are left out."""
     attitude: str | None = None
     """Topic of an ``Imu``."""
     belts: str | None = None
@@ -88,9 +92,14 @@ class Topics:
     """Topic → the joints whose angles come from it."""
 
 
-def found_devices(path: Path, reader: Any, names: Names, remarks: list[str]) -> Topics:
-    """Return the topics of the devices that a bag has; ``remarks`` receives what is missing."""
-    clouds = cloud_topic(path, reader, names)
+def found_devices(
+    path: Path, reader: Any, names: Names, remarks: list[str], *, clouds: bool = True
+) -> Topics:
+    """Return the topics of the devices that a bag has; ``remarks`` receives what is missing.
+
+    ``clouds``: whether it must have clouds; else they are left out.
+    """
+    scans = cloud_topic(path, reader, names) if clouds else ""
     attitude = _only(path, reader, names.imu, (_IMU,), "--imu", names.likely)
     joints = _joint_topics(reader, names, remarks)
     # The robot's own belts come first, since its bags have odometry as well.
@@ -100,7 +109,7 @@ def found_devices(path: Path, reader: Any, names: Names, remarks: list[str]) -> 
         belts = next((topic for topic in numbers if topic in usual), None)
     kinds = (_NUMBER, ODOMETRY) if belts else (ODOMETRY,)
     belts = _only(path, reader, belts, kinds, "--belts", names.likely)
-    return Topics(clouds, attitude, belts, joints)
+    return Topics(scans, attitude, belts, joints)
 
 
 def _joint_topics(reader: Any, names: Names, remarks: list[str]) -> dict[str, list[str]]:
@@ -110,7 +119,7 @@ def _joint_topics(reader: Any, names: Names, remarks: list[str]) -> dict[str, li
     """
     # Fewest topics: those with the most of the wanted joints first
     wanted = list(dict.fromkeys(name.lstrip("-") for name in (*names.front, *names.rear)))
-    topics = sorted({c.topic for c in reader.connections if c.msgtype == _JOINTS})
+    topics = sorted({c.topic for c in reader.connections if c.msgtype == _JOINTS} - {names.command})
     has = {topic: _joints_in(reader, topic, wanted) for topic in topics}
     joints: dict[str, list[str]] = {}
     left = list(wanted)

@@ -170,6 +170,16 @@ def print_field_drive(document: dict[str, Any]) -> None:
     _print_recording("field drive", who, document, rows, last)
 
 
+def print_identified(document: dict[str, Any]) -> None:
+    """Print the values of a robot that a bag tells, and where its file is."""
+    rows = {
+        f"{key} [{value['unit']}]": f"{value['interval']}: {value['why']}"
+        for key, value in document["values"].items()
+    }
+    last = None if document["output"] is None else f"written: {document['output']}"
+    _print_recording("identified (95 %)", str(document["source"]), document, rows, last)
+
+
 def _print_recording(
     title: str, who: str, recording: dict[str, Any], rows: Mapping[str, str], last: str | None
 ) -> None:

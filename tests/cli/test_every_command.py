@@ -38,6 +38,7 @@ def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> N
     needed = {"export": ["onnx", "x"], "terrain": ["ridge"]}
     needed |= {"new": ["terrain", "x"], "eval": ["--controller", "level"]}
     needed |= {"checkpoint": ["x"], "run": ["x"], "check": ["x"], "self-test": ["x"]}
+    needed |= {"identify": ["x"]}
     needed |= {"shadow": ["x.onnx", "x"], "ground": ["x", "--output", "x.xyz"]}
     needed |= {"robot drive": ["x", "--outcome", "reached"]}
     arguments = needed.get(" ".join(command), needed.get(command[-1], []))
