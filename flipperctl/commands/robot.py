@@ -326,7 +326,7 @@ def identify(
 
     [bold]Examples[/]
 
-      flipperctl robot identify recorded_bag robot=mine.yaml --output identified.yaml
+      flipperctl robot identify recorded_bag --output identified.yaml
 
       flipperctl robot identify run.mcap robot=mine.yaml devices=mine.yaml --json
     """
