@@ -3,7 +3,7 @@
 #   make test    sets up and runs the static checks and every test that is not marked as long
 #   make install is the first part of train: flipperctl with 3-D and the live pages
 #   make setup   adds what tests, documentation and every extra need
-#   make ros     runs the tests on real rclpy of two distributions, which it installs for them
+#   make ros     runs the tests on real rclpy of two distributions at a time, which it installs
 #   make long    runs the tests marked as long, each night; about half an hour
 #   make check runs the static checks and the quick tests, for use while one works
 #   make docs  builds the documentation in build/docs, without the network; a warning is an error
@@ -62,7 +62,10 @@ tests:
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 ros: setup
-	$(BIN)/pytest -m "ros and not long"
+	$(MAKE) --jobs 2 ros-jazzy ros-kilted
+
+ros-%:
+	$(BIN)/pytest tests/ros -m "ros and not long" -k $*
 
 long: setup
 	$(BIN)/python -m tests.machine_code

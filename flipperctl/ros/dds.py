@@ -77,9 +77,11 @@ class CycloneWire:
         self._announce()
         return lambda message: self._write(writer, message, kind)
 
-    def subscribe(self, topic: str, kind: str, receive: Callable[[Any], object]) -> None:
-        """See ``Wire``."""
-        quality = self._quality(kind, reliable=True, depth=1000, latched=False)
+    def subscribe(
+        self, topic: str, kind: str, receive: Callable[[Any], object], *, latched: bool = False
+    ) -> None:
+        """See ``Wire``; ``latched``: the last message before is received, too."""
+        quality = self._quality(kind, reliable=True, depth=1000, latched=latched)
         reader = DataReader(self._subscriber, self._topic(_ros(topic), kind), qos=quality)
         condition = ReadCondition(reader, _ANY | SampleState.NotRead)
         self._waiting.attach(condition)

