@@ -443,16 +443,19 @@ def test_a_second_node_refuses_and_a_killed_one_stops_the_robot(
     assert row["outcome"] == "reached"
 
 
-@pytest.mark.parametrize("seconds", [5.0, -5.0])
+@pytest.mark.parametrize(
+    ("seconds", "service", "answer"),
+    [(5.0, "acknowledge", "acknowledged"), (-5.0, "reset", "the map is empty")],
+)
 def test_a_clock_that_steps_stops_the_robot_until_it_is_acknowledged(
-    ros: Ros, monkeypatch: pytest.MonkeyPatch, seconds: float
+    ros: Ros, monkeypatch: pytest.MonkeyPatch, seconds: float, service: str, answer: str
 ) -> None:
     with ros.listener(monkeypatch) as heard, ros.node(**CLOCK) as node:
         robot = ros.simulate(*FLAT, "--sim-time", "--clock-step", f"2:{seconds}")
         heard.wait_for_fault("clock_jump")
         assert heard.stands()
         assert heard.commands[-1] == 0.0
-        assert ros.call("acknowledge") == "acknowledged"
+        assert ros.call(service) == answer
         (row,) = ros.episodes(robot)
         assert "Traceback" not in node.log.read_text()
     assert row["outcome"] == "reached"
