@@ -275,13 +275,16 @@ def friction(motion: Motion, tilt_error: float) -> Estimate:
             held = max(held, math.tan(abs(slope) - tilt_error))
         rates = _rates(time, slip, 0.1)
         for slide in _runs(rates > 0.1):
-            # From its begin to where it is fastest, or else slower and slower, to its end
+            # From its begin to where it is fastest, or else slower and slower, to its end; without
+            # the samples that made these be chosen
             since, end, peak = *time[slide][[0, -1]], time[slide][rates[slide].argmax()]
-            until = min(end - 0.1, peak if peak > 0.5 * (since + end) else end)
-            inner = (time >= since + 0.05) & (time <= until) & (np.ptp(slip[slide]) > 0.1)
+            until = peak if peak > 0.5 * (since + end) else end
+            inner = (time > since + 0.1) & (time < until - 0.1) & (np.ptp(slip[slide]) > 0.1)
             if inner.sum() >= 6:
-                (half_of, *_), (error, *_) = _fit(time[inner], down[inner], 2)
-                scale, steep = 2 / (GRAVITY * math.cos(slope)), math.tan(abs(slope))
+                angle = float(motion.pitch[run][inner].mean())
+                fallen = sign * (motion.way[run][inner] @ _turned(angle)[:, 0])
+                (half_of, *_), (error, *_) = _fit(time[inner], fallen, 2)
+                scale, steep = 2 / (GRAVITY * math.cos(angle)), math.tan(abs(angle))
                 values.append(steep - scale * float(half_of))
                 by_tilt = tilt_error * (1 + values[-1] * steep)
                 errors.append(math.hypot(scale * float(error), by_tilt))
@@ -333,11 +336,15 @@ def flipper_torque(motion: Motion, robot: Robot, speed: float, rubbing: float) -
     standing = np.abs(_rates(motion.time, motion.way[:, 0], 0.3)) <= 0.05
     for pair in (0, 1):
         least, most, slack, lifted = _loads(motion, robot, pair, rubbing)
-        # A turn against the load; a rest on the load, and below one that does not move
+        # A turn against the load, in which friction hinders unless the other pair moves as well;
+        # a rest on the load, and below one that does not move
         turning = _rates(motion.time, motion.angles[:, pair], 0.15) < -0.5 * speed
-        still = resting & (np.abs(_rates(motion.time, motion.angles[:, pair], 0.5)) < 0.03)
+        still, other = (
+            np.abs(_rates(motion.time, motion.angles[:, i], 0.5)) < 0.03 for i in (pair, 1 - pair)
+        )
+        still &= resting
         pushing = targets[:, pair] < motion.angles[:, pair] - 0.1
-        rubs = np.where(standing, 0.0, slack)
+        rubs = np.where(standing & other, 0.0, slack)
         lows += _levels(motion.time, turning & lifted, least - rubs, 0.15, 0.9)
         lows += _levels(motion.time, still & lifted, least - slack, 0.5)
         highs += _levels(motion.time, still & pushing, most + slack, 1.0)
