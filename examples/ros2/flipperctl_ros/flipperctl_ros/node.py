@@ -47,8 +47,12 @@ PARAMETERS = {
 }
 PERIOD = 0.05  # of steps without messages, since age is a fault [s]
 DISCOVERY, NEW = 2.0, 10.0  # in which another node is seen; is the newer one of two [s]
-LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+
+
+def newest(depth):
+    """Return the quality of a subscription to the last messages, of any publisher."""
+    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class FlipperNode(LifecycleNode):
@@ -103,10 +107,11 @@ class FlipperNode(LifecycleNode):
             return FAILURE
         names, lockstep = self.robot.devices.topics, self.lockstep is not None
         belts = BELTS[self.parameter("belts_type")]
+        # A busy node takes the newest messages; joints may come one in a message.
+        flippers = len(self.robot.devices.joints.front + self.robot.devices.joints.rear)
         depth = 1000 if lockstep else 10
-        qos = (
-            (depth, depth, depth, depth) if lockstep else (qos_profile_sensor_data, LATEST, 10, 10)
-        )
+        qos = (qos_profile_sensor_data, newest(1), newest(flippers), newest(1))
+        qos = (depth,) * 4 if lockstep else qos
         subscribe, take, robot = self.create_subscription, self.take, self.robot
         self.ours = [
             subscribe(PointCloud2, names.clouds, take("cloud", robot.cloud), qos[0]),
