@@ -243,7 +243,6 @@ class TopicRobot(Observer):
         if self._link.simulated_clock:
             begin = max(begin, self._now + _APART)
         self._base = _EPOCH + _BETWEEN * number if self._link.lockstep else begin
-        self._make = replace(self._make, origin=self._base)
         self._zero, self._cloud = None, (None, 0.0)
         self._now, self._when, self._speed = self._base, 0.0, 0.0
         self._watch, self._answered = CommandWatch(), -math.inf
@@ -251,8 +250,6 @@ class TopicRobot(Observer):
         with self._heard:
             self._ready = None
             while self._ready != begin and time.monotonic() < until:
-                if self._link.simulated_clock:
-                    self._send("/clock", self._make.clock(0.0))
                 self._send("simulation/begin", self._make.number(begin))
                 self._heard.wait(0.2)
             self.answered = self._ready == begin
