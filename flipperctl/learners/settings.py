@@ -139,7 +139,7 @@ class D3qnSettings(PairSettings):
         "preference back in the mean [-]",
     )
     priority_floor: float = Field(
-        0.02,
+        0.1,
         gt=0,
         le=1e6,
         description="added to each error, so that no transition is never learnt from, in scaled "
