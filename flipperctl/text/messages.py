@@ -76,9 +76,9 @@ def missing_name(name: str, known: Iterable[str]) -> str:
 
 def file_here(name: str) -> str:
     """Return a hint at a file of Python in the current folder; empty without one."""
-    file = Path(f"{name}.py")
-    known = name.isidentifier() and file.exists()
-    return f" ({file} is here: add --plugins {file})" if known else ""
+    file = f"{name}.py"
+    here = name.isidentifier() and any(Path().glob(file))  # which takes names of any length
+    return f" ({file} is here: add --plugins {file})" if here else ""
 
 
 def missing_plugin(kind: str, name: str, file: str | Path | None) -> str:
