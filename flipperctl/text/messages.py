@@ -77,7 +77,7 @@ def missing_name(name: str, known: Iterable[str]) -> str:
 def file_here(name: str) -> str:
     """Return a hint at a file of Python in the current folder; empty without one."""
     file = f"{name}.py"
-    here = name.isidentifier() and any(Path().glob(file))  # which takes names of any length
+    here = any(path.name == file for path in Path().glob("*.py"))
     return f" ({file} is here: add --plugins {file})" if here else ""
 
 
