@@ -10,6 +10,7 @@ self-test refuses it and names the frame.
 
 import json
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import rclpy
@@ -85,7 +86,8 @@ def main():
     except (KeyboardInterrupt, ExternalShutdownException, BrokenPipeError):
         pass
     finally:
-        rclpy.try_shutdown()
+        with suppress(RuntimeError):  # the signal's own handler may be at it
+            rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

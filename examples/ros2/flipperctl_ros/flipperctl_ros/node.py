@@ -10,6 +10,7 @@ units and limits are those of the devices file; remaps and a namespace work as u
 
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import rclpy
@@ -359,7 +360,8 @@ def main():
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # Ctrl-C, or the end that ros2 launch asks for
     finally:
-        rclpy.try_shutdown()
+        with suppress(RuntimeError):  # the signal's own handler may be at it
+            rclpy.try_shutdown()
 
 
 if __name__ == "__main__":
