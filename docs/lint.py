@@ -195,6 +195,13 @@ def missing_places() -> Iterator[str]:
             yield f"README.md: the link {link} leads nowhere"
 
 
+def places_of_a_machine() -> Iterator[str]:
+    """Yield pictures whose own command, which figures carry, names a place of one machine."""
+    for path in sorted((ROOT / "docs" / "images").iterdir()):
+        if re.search(rb"flipperctl [ -~]*[ =]/", path.read_bytes()):
+            yield f"{path.relative_to(ROOT)}: drawn with an absolute path; draw it in its folder"
+
+
 def vague_names() -> Iterator[str]:
     """Yield names that stand too often in the package, and whether it has too few landmarks."""
     bound: Counter[str] = Counter()
@@ -275,6 +282,7 @@ CHECKS = (
     unknown_options,
     unknown_settings,
     missing_places,
+    places_of_a_machine,
     vague_names,
     disagreements,
 )

@@ -7,14 +7,13 @@ that they need are missing, its tests are skipped with the reason.
 import itertools
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -36,6 +35,7 @@ from flipperctl.runtime.messages import KINDS
 from flipperctl.runtime.recordings import SelfTest, read_lines, setup_by
 from tests.cli.call import call
 from tests.environment import interpreter
+from tests.ros.network import network
 from tests.ros.recorder import recording
 
 pytest.importorskip("cyclonedds", reason="the extra dds is not installed")
@@ -485,44 +485,3 @@ def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(
             assert "Traceback" not in node.log.read_text()
     assert row["outcome"] == "reached"
     assert row["seconds"] > 6 + 1.4 / 0.2
-
-
-@contextmanager
-def network() -> Iterator[tuple[tuple[str, ...], tuple[str, ...], Callable[[str], object]]]:
-    """Yield how commands enter two machines, and what turns the switch between them down or up."""
-    if shutil.which("unshare") is None or shutil.which("ip") is None:
-        pytest.skip("this machine has no unshare or ip")
-    own, machine = ["unshare", "-Urn"], ["unshare", "-n"]
-    if subprocess.run([*own, "true"], capture_output=True).returncode != 0:
-        pytest.skip("this machine allows no network of one's own")
-    holders, enters = list[subprocess.Popen[bytes]](), list[tuple[str, ...]]([()])
-    for command in (own, machine, machine):
-        holder = subprocess.Popen([*enters[min(len(holders), 1)], *command, "sleep", "infinity"])
-        while Path(f"/proc/{holder.pid}/comm").read_text() != "sleep\n":  # it enters first
-            time.sleep(0.05)
-        holders.append(holder)
-        enters.append(entering(holder.pid))
-    del enters[0]
-
-    def ip(at: int, words: str) -> None:
-        subprocess.run([*enters[at], "ip", *words.split()], check=True)
-
-    try:
-        ip(0, "link add switch0 type bridge")
-        for at in (1, 2):
-            ip(0, f"link add port{at} type veth peer name eth0 netns {holders[at].pid}")
-            ip(0, f"link set port{at} master switch0 up")
-            ip(at, f"address add 10.9.0.{at}/24 dev eth0")
-            ip(at, "link set eth0 up")
-            ip(at, "link set lo up")
-            ip(at, "route add default dev eth0")
-        ip(0, "link set switch0 up")
-        yield enters[1], enters[2], lambda state: ip(0, f"link set switch0 {state}")
-    finally:
-        for holder in holders:
-            holder.kill()
-            holder.wait()
-
-
-def entering(process: int) -> tuple[str, ...]:
-    return ("nsenter", "-t", str(process), "-U", "-n", "--preserve-credentials")
