@@ -25,7 +25,7 @@ ABOUT = (
     "substep; ratios against a quarter of the configured substep; relative changes of single "
     "episodes with a policy, and the fraction of outcomes that change"
 )
-MEASURES = {"100hz.": "pitch_variation_100hz", "": "pitch_variation"}
+MEASURES = {"100hz.": "pitch_variation_100hz", "": "pitch_variation_decisions"}
 """θ̂_R at 100 Hz and at decisions: a part of a quantity's name, and the measure."""
 SCENES = ("paper_step", "paper_stair")
 FACTORS = (2.0, 1.0, 0.5, 0.25)

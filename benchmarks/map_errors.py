@@ -277,7 +277,9 @@ def _print_variation(policy: str, name: str, words: Sequence[str]) -> None:
     cells = []
     for played in evaluate(Plan.of_one([Entry(*scene) for scene in found])).played:
         reached = played.episodes.reached
-        variation = f"{np.mean(reached.values('pitch_variation')):.2f}" if reached else "–"
+        variation = (
+            f"{np.mean(reached.values('pitch_variation_decisions')):.2f}" if reached else "–"
+        )
         cells.append(f"{played.entry.terrain} {len(reached)}/{len(played.episodes)} {variation}")
     print(f"{policy} on {name}: θ̂_R at decisions [rad] {', '.join(cells)}", flush=True)
 

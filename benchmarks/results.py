@@ -80,7 +80,7 @@ FAST, SLOW = 30, 5
 and of ``SEARCHES``."""
 AGAINST = "level"
 """The method whose score is subtracted in the rows over all scenes."""
-_SCORE, _DECISIONS, _TIME = "pitch_variation_100hz", "pitch_variation", "t_cost"
+_SCORE, _DECISIONS, _TIME = "pitch_variation_100hz", "pitch_variation_decisions", "t_cost"
 _ENERGY = "flipper_energy"
 _ROCKED = 5.0
 """θ̂_R above which a failed episode counts as one that rocked [rad]."""

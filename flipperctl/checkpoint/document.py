@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
 from pydantic import (
+    AliasChoices,
     BaseModel,
     ConfigDict,
     Field,
@@ -127,8 +128,10 @@ class Validation(Record):
     decision: Count
     success_rate: Fraction
     t_cost: NonNegative
-    pitch_variation: NonNegative
-    """θ̂_R at decisions [rad]."""
+    pitch_variation_decisions: NonNegative = Field(
+        validation_alias=AliasChoices("pitch_variation_decisions", "pitch_variation")
+    )
+    """θ̂_R at decisions [rad]; until version 0.3 it was called ``pitch_variation``."""
     pitch_variation_100hz: NonNegative
     """θ̂_R at 100 Hz [rad]."""
     mean_return: float | None = None

@@ -283,7 +283,7 @@ def _print(document: dict[str, Any], picture: Path | None) -> None:
         Column("decision", "decision", named=True),
         Column("success", "success"),
         Column("pitch_variation_100hz", HEADING, 3),
-        Column("pitch_variation", PAPERS_HEADING, 3),
+        Column("pitch_variation_decisions", PAPERS_HEADING, 3),
         Column("t_cost", "time [s]", 1),
         Column("return", "reward"),
     )

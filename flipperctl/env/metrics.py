@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -18,12 +19,20 @@ from flipperctl.plugging.guard import as_real, definition, plugin_label, refusal
 CORE = (
     "decisions",
     "t_cost",
-    "pitch_variation",
+    "pitch_variation_decisions",
     "pitch_variation_100hz",
     "max_pitch",
     "flipper_travel",
 )
 """Measures for which results have fields of their own, in the order of their columns."""
+RENAMED: Mapping[str, str] = {"pitch_variation": "pitch_variation_decisions"}
+"""New names of measures by those that they had until version 0.3."""
+
+
+def with_former_names(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a JSON document's numbers with those that older readers know by another name."""
+    return {**numbers, **{old: numbers[new] for old, new in RENAMED.items() if new in numbers}}
+
 
 DRAWN = "drawn_"
 """Prefix of the columns of numbers that the terrain drew."""

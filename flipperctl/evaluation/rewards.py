@@ -34,7 +34,7 @@ from flipperctl.rollout.episode import EvaluationSeeds, decisions
 Rewards = Mapping[str, RewardTerm]
 """Reward terms by name."""
 _SIGNIFICANT = 0.05  # largest corrected p-value of a contradiction [-]
-MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost")
+MEASURES = ("pitch_variation_100hz", "pitch_variation_decisions", "t_cost")
 """Measures by which policies are compared; the first one ranks them."""
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
+from flipperctl.env.metrics import RENAMED
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import SeedSamples
@@ -89,7 +90,7 @@ class _Run:
 def _policies(folder: Path, measure: str) -> dict[str, _Run]:
     """Return each policy of a folder by label, the evaluated one before its baselines."""
     path, rows = folder / FILE, dict[str, list[CsvRow]]()
-    for row in read_csv(path, (*_KEYS, measure)):
+    for row in read_csv(path, (*_KEYS, measure), RENAMED):
         if not is_best_known(row["controller"]):  # it stands only where it beats all others
             rows.setdefault(row["controller"], []).append(row)
     if not rows:

@@ -44,7 +44,7 @@ _GRID = 201  # decisions at which curves over seeds are drawn, where they share 
 _RESAMPLES = 1000  # bootstrap samples of a band [-]
 _TRAINED = ("loss", "epsilon", "lag", "difficulty")
 """Columns that only the rows of training episodes have."""
-_REACHED_ONLY = (VARIATION, "pitch_variation", "t_cost")
+_REACHED_ONLY = (VARIATION, "pitch_variation_decisions", "t_cost")
 
 Average = Literal["mean", "iqm"]
 Runs = Mapping[str, Sequence[Sequence[CsvRow]]]

@@ -249,7 +249,7 @@ SUCCESS, VARIATION = "success", "pitch_variation_100hz"
 _WORDS = {
     SUCCESS: "Success [%]",
     VARIATION: r"Pitch variation $\hat{\theta}_\mathrm{R}$ [rad]",
-    "pitch_variation": r"Pitch variation $\hat{\theta}_\mathrm{R}$ at decisions [rad]",
+    "pitch_variation_decisions": r"Pitch variation $\hat{\theta}_\mathrm{R}$ at decisions [rad]",
     "t_cost": "Time [s]",
     "max_pitch": "Largest pitch [rad]",
     "flipper_travel": "Flipper travel [rad]",

@@ -411,7 +411,7 @@ def _row(
     return {
         "episode": episode,
         "outcome": str(ending["outcome"]),
-        "pitch_variation": ending["pitch_variation"],
+        "pitch_variation": ending["pitch_variation_decisions"],
         "seconds": state.time,
         "wall": round(wall, 2),
         "behind": round(numbers.behind, 4),

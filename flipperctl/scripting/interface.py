@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from flipperctl.checkpoint.results import METRICS
 from flipperctl.config import EnvConfig, TrainConfig
+from flipperctl.env.metrics import RENAMED
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -93,7 +94,7 @@ class Run:
 
         ``kind`` is ``episode`` or ``validation``; a number that a row lacks is None.
         """
-        rows = read_csv(self.directory / METRICS)
+        rows = read_csv(self.directory / METRICS, (), RENAMED)
         return [{name: _value(cell) for name, cell in row.items()} for row in rows]
 
     @public

@@ -16,6 +16,7 @@ import shutil
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from flipperctl.errors import FlipperctlError, OutputError, RequestError, WriteError
@@ -159,8 +160,12 @@ class CsvRow(dict[str, str]):
         return RequestError(f"{self.where}: {column}: {text}; the value is {self[column]!r:.40}")
 
 
-def read_csv(path: Path, needed: Collection[str] = ()) -> list[CsvRow]:
+def read_csv(
+    path: Path, needed: Collection[str] = (), renamed: Mapping[str, str] = MappingProxyType({})
+) -> list[CsvRow]:
     """Return the rows of a table in UTF-8, with or without a byte order mark.
+
+    ``renamed``: new names of columns by the old ones, which older tables have.
 
     Blank lines count as none. A last row that is cut off, as while it is written, is left out.
 
@@ -171,7 +176,7 @@ def read_csv(path: Path, needed: Collection[str] = ()) -> list[CsvRow]:
     try:
         text = path.read_bytes().decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)
-        header = next(lines, [])
+        header = [renamed.get(name, name) for name in next(lines, [])]
         if twice := {name for name in header if header.count(name) > 1}:
             raise RequestError(f"{path}, line 1: a column is named twice: {', '.join(twice)}")
         # Columns are checked before rows, so that a wrong file is named by its header.

@@ -32,6 +32,7 @@ from flipperctl.checkpoint.results import (
 )
 from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.config.identity import differences
+from flipperctl.env.metrics import RENAMED, with_former_names
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
 from flipperctl.plugging import plugins
 from flipperctl.text.files import CsvRow, make_folder, read_csv, remove_partial, write_bytes
@@ -225,7 +226,7 @@ def read_run(run: Path) -> tuple[Rows, Rows]:
     if not metrics.is_file():
         hint = sweep_hint(run) or "is it a run directory?"
         raise RequestError(f"{run} holds no {METRICS}; {hint}")
-    rows = read_csv(metrics, ("kind", "decision"))
+    rows = read_csv(metrics, ("kind", "decision"), RENAMED)
     for row in rows:
         if not math.isfinite(row.number("decision")):
             raise row.refusal("decision", "a finite number is allowed")
@@ -248,5 +249,5 @@ def summarise(run: Path, episodes: Rows, validations: Rows) -> dict[str, Any]:
         "summary": summary_of(run) or None,
         "running": is_held(run),
         "episodes": len(episodes),
-        "validations": [of_reached(row) for row in numbers],
+        "validations": [with_former_names(of_reached(row)) for row in numbers],
     }

@@ -68,7 +68,7 @@ def stop_of(folder: Path, sweeper: tuple[str, int]) -> Callable[[], bool]:
     return lambda: mark.exists() or is_dead(sweeper)
 
 
-REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
+REACHED = ("pitch_variation_100hz", "pitch_variation_decisions", "t_cost")
 """Measures of a validation that are means over the episodes that reached the finish."""
 
 
@@ -109,7 +109,7 @@ class SweepRun:
     def row(self) -> dict[str, Any]:
         """Return the row of ``sweep.csv``, with the measures of the best validation."""
         best = of_reached(self.summary.get("best") or {})
-        measures = ("success_rate", "pitch_variation_100hz", "pitch_variation", "t_cost")
+        measures = ("success_rate", "pitch_variation_100hz", "pitch_variation_decisions", "t_cost")
         return {
             "job": self.job,
             **self.swept,

@@ -30,7 +30,7 @@ from flipperctl.checkpoint.document import (
 from flipperctl.config import TrainConfig
 from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env import ground
-from flipperctl.env.metrics import DRAWN
+from flipperctl.env.metrics import DRAWN, with_former_names
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.plugging.guard import naming
 from flipperctl.rollout.collect import Collector, Usage
@@ -401,7 +401,7 @@ class Trainer:
             "seconds": round(self.companion.seconds, 1),
             "success_rate": progress.success_rate,
             **{
-                name: validation and validation.model_dump()
+                name: validation and with_former_names(validation.model_dump())
                 for name, validation in validations.items()
             },
             "usage": self._usage and asdict(self._usage),

@@ -33,7 +33,7 @@ from flipperctl.views.summary import compared, risk_text
 
 MEASURES = (
     "pitch_variation_100hz",
-    "pitch_variation",
+    "pitch_variation_decisions",
     "t_cost",
     "max_pitch",
     "flipper_travel",
@@ -63,7 +63,7 @@ TAGS = ("robotics", "reinforcement-learning", "tracked-robot", "flipper-control"
 _TASK = {"type": "reinforcement-learning", "name": "flipper control of a tracked robot"}
 _METRICS = {
     "pitch_variation_100hz": "pitch variation at 100 Hz where reached [rad]",
-    "pitch_variation": "pitch variation at decisions where reached [rad]",
+    "pitch_variation_decisions": "pitch variation at decisions where reached [rad]",
     "t_cost": "time to the finish [s]",
 }
 _COLUMNS = (
@@ -74,7 +74,7 @@ _COLUMNS = (
     Column("reached", "reached"),
     Column("success", "success"),
     Column("pitch_variation_100hz", "θ̂_R [rad]"),
-    Column("pitch_variation", "θ̂_R at decisions [rad]"),
+    Column("pitch_variation_decisions", "θ̂_R at decisions [rad]"),
     Column("t_cost", "t_cost [s]"),
     Column("flipper_energy", "flipper energy [J]"),
 )
@@ -337,7 +337,12 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
 
 def _texts(row: StoredRow) -> StoredRow:
     """Return a row with the texts of the card's tables."""
-    digits = {"pitch_variation_100hz": 2, "pitch_variation": 2, "t_cost": 1, "flipper_energy": 0}
+    digits = {
+        "pitch_variation_100hz": 2,
+        "pitch_variation_decisions": 2,
+        "t_cost": 1,
+        "flipper_energy": 0,
+    }
     passable = row.get("passable")
     return {
         **{name: ends_text(row["measures"][name], n) for name, n in digits.items()},

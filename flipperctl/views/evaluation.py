@@ -292,7 +292,9 @@ _OPTIONAL = {
     "episodes": Column("episodes", "episodes"),
     "outcomes": Column("outcomes", "outcomes", named=True),
     "t_cost": Column("t_cost", "time [s]", 1),
-    "pitch_variation": Column("pitch_variation", "pitch variation at decisions [rad]"),
+    "pitch_variation_decisions": Column(
+        "pitch_variation_decisions", "pitch variation at decisions [rad]"
+    ),
     "max_pitch": Column("max_pitch", "largest pitch [rad]"),
     "flipper_travel": Column("flipper_travel", "flipper travel [rad]"),
     "return": Column("return", "return"),
@@ -438,7 +440,7 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
     ``digits``: decimals of the numbers; None leaves them as they are.
     """
     further = [m.plugin_name for m in other_measures()]
-    names = ("success", "t_cost", "pitch_variation_100hz", "pitch_variation", "max_pitch")
+    names = ("success", "t_cost", "pitch_variation_100hz", "pitch_variation_decisions", "max_pitch")
     # The scene's own policy, then its baselines
     for scene in evaluated["scenes"]:
         method = scene.get("method", "")

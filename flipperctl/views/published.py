@@ -41,7 +41,7 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
             others[conditions["name"]] = None
         rows = scenes.setdefault(terrain, [])
         for summary in (scene, *([] if "method" in scene else compared(scene))):
-            variation = summary["pitch_variation"] or {}
+            variation = summary["pitch_variation_decisions"] or {}
             rows.append(
                 {
                     "policy": short(scene.get("method") or summary["controller"]),

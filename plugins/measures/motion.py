@@ -71,7 +71,7 @@ def largest_impact(episode: Sequence[Transition]) -> float:
     return float(np.hypot(change[:, 0], change[:, 1]).max(initial=0.0))
 
 
-@measure("pitch_variation", unit="rad", reached_only=True, better="lower")
+@measure("pitch_variation_decisions", unit="rad", reached_only=True, better="lower")
 def pitch_variation(episode: Sequence[Transition]) -> float:
     """θ̂_R, the sum of the pitch changes between decisions (paper Eq. 8) [rad]."""
     return _total(abs(t.after.pitch - t.before.pitch) for t in episode)

@@ -67,7 +67,7 @@ class Swing(RewardTerm):
     Below the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
     ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
     within a decision. With ``at_decisions`` it does not; its sum is then proportional to the
-    paper's θ̂_R (the measure ``pitch_variation``). It is 0 without a path.
+    paper's θ̂_R (the measure ``pitch_variation_decisions``). It is 0 without a path.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)

@@ -115,7 +115,7 @@ def test_a_drawn_value_acts_as_the_setting_itself() -> None:
     one, other, third = episode(3, **fixed), episode(3, **drawn), episode(3, **by_path)
     for row in (other, third):
         assert {name: row[name] for name in (*one, *fixed)} == {**one, **fixed}
-    assert one["pitch_variation"] != episode(3)["pitch_variation"]
+    assert one["pitch_variation_decisions"] != episode(3)["pitch_variation_decisions"]
 
 
 def test_a_sampled_substep_divides_the_sampling_time() -> None:

@@ -20,7 +20,7 @@ def sample(seed: int, outcome: str, value: float, terrain: str = "step", **more:
         "terrain": terrain,
         "decisions": 20,
         "t_cost": 10 * value,
-        "pitch_variation": value,
+        "pitch_variation_decisions": value,
         "pitch_variation_100hz": 2 * value,
         "max_pitch": 0.1 * value,
         "flipper_travel": 3 * value,

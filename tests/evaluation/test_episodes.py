@@ -104,7 +104,7 @@ def test_flippers_held_level_cross_flat_ground_at_belt_speed_without_a_swing() -
         # an episode ends at a sample of 10 ms after that.
         assert result["t_cost"] == pytest.approx((4.0 - result["start_shift"]) / 0.2, abs=0.03)
         assert result["decisions"] == -(-round(100 * result["t_cost"]) // 60)
-        for name in ("pitch_variation", "max_pitch", "flipper_travel"):
+        for name in ("pitch_variation_decisions", "max_pitch", "flipper_travel"):
             assert result[name] == pytest.approx(0.0, abs=1e-3)
         paid = [value for name, value in result.items() if name.startswith("reward_")]
         assert result["return"] == pytest.approx(sum(paid))

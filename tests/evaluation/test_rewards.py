@@ -110,7 +110,7 @@ def test_no_common_draw_gives_no_measures() -> None:
     assert measures(played)["planner"] == {
         "success_rate": 1.0,
         "pitch_variation_100hz": None,
-        "pitch_variation": None,
+        "pitch_variation_decisions": None,
         "t_cost": None,
     }
     found = ranked("smooth", TERMS, played)

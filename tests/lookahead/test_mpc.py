@@ -67,7 +67,7 @@ def test_latency_is_simulated_before_the_search() -> None:
     env = FlipperEnv("uplift", **{"robot.actuator_delay": 0.2, "perception.delay": 0.1})
     late, aware = (play(env, built("mpc", latency=s, **SMALL), seed=3) for s in (0.0, 0.3))
     assert late["outcome"] == aware["outcome"] == Outcome.REACHED
-    assert late["pitch_variation"] != aware["pitch_variation"]
+    assert late["pitch_variation_decisions"] != aware["pitch_variation_decisions"]
 
 
 def test_a_time_limit_ends_the_search_and_not_the_drive() -> None:

@@ -102,7 +102,7 @@ def test_an_error_in_an_inner_terrain_names_its_place(part: object, text: str) -
 def test_a_checkpoint_names_the_plugins_within_the_terrain(spike: type[Terrain]) -> None:
     mirror = {"name": "mirror", "terrain": {"name": "spike", "tall": 0.1}}
     config = TrainConfig(terrain=made("mix", parts=["flat", mirror]), network="mlp")
-    result = {"success_rate": 1.0, "t_cost": 9.0, "pitch_variation": 1.0}
+    result = {"success_rate": 1.0, "t_cost": 9.0, "pitch_variation_decisions": 1.0}
     validation = {"decision": 5, "pitch_variation_100hz": 1.0, **result}
     document = checkpoint.describe(config, "best", decision=5, validation=validation)
     names = [p.name for p in document.plugins if p.kind == "terrain"]

@@ -235,7 +235,7 @@ def test_half_the_substep_changes_the_pitch_variation_little(name: str, terrain:
         for s in (0.005, 0.0025)
     )
     assert coarse["outcome"] == fine["outcome"] == "reached"
-    variations = [info["metrics"]["pitch_variation"] for info in (coarse, fine)]
+    variations = [info["metrics"]["pitch_variation_decisions"] for info in (coarse, fine)]
     assert variations[0] == pytest.approx(variations[1], rel=0.05)
 
 

@@ -8,8 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.errors import OutputError, WriteError
-from flipperctl.text.files import OutputKind, at_home, check_output, remove_partial, write_bytes
+from flipperctl.env.metrics import RENAMED
+from flipperctl.errors import OutputError, RequestError, WriteError
+from flipperctl.text.files import (
+    OutputKind,
+    at_home,
+    check_output,
+    read_csv,
+    remove_partial,
+    write_bytes,
+)
 
 
 def test_writers_of_one_file_do_not_disturb_each_other(tmp_path: Path) -> None:
@@ -125,3 +133,12 @@ def test_a_link_to_a_file_is_written_through(tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to("loop")
     write_bytes(tmp_path / "loop", b"new")
     assert (tmp_path / "loop").read_bytes() == b"new"
+
+
+def test_a_table_of_an_older_version_has_todays_names(tmp_path: Path) -> None:
+    table = tmp_path / "episodes.csv"
+    table.write_text("seed,pitch_variation\n1,0.5\n")
+    (row,) = read_csv(table, ("pitch_variation_decisions",), RENAMED)
+    assert row == {"seed": "1", "pitch_variation_decisions": "0.5"}
+    with pytest.raises(RequestError, match="there is no column 'pitch_variation'"):
+        read_csv(table, ("pitch_variation",), RENAMED)

@@ -74,7 +74,13 @@ def test_the_best_policy_is_chosen_as_asked(
     best_by: str, histories: list[tuple[float, ...]], best: int, tmp_path: Path
 ) -> None:
     validator: Validator = trainer(few(**{"train.best_by": best_by}), tmp_path).validator
-    names = ("decision", "success_rate", "mean_return", "pitch_variation", "pitch_variation_100hz")
+    names = (
+        "decision",
+        "success_rate",
+        "mean_return",
+        "pitch_variation_decisions",
+        "pitch_variation_100hz",
+    )
     validator.history[:] = [
         Validation(t_cost=10.0, **dict(zip(names, one, strict=True))) for one in histories
     ]

@@ -72,7 +72,8 @@ def test_the_csv_has_a_row_for_each_scene_and_method(tmp_path: Path) -> None:
         "t_cost": "30.0", "t_cost_low": "10.3676", "t_cost_high": "49.6324",
         "pitch_variation_100hz": "6.0",
         "pitch_variation_100hz_low": "2.0735", "pitch_variation_100hz_high": "9.9265",
-        "pitch_variation": "3.0", "pitch_variation_low": "1.0368", "pitch_variation_high": "4.9632",
+        "pitch_variation_decisions": "3.0",
+        "pitch_variation_decisions_low": "1.0368", "pitch_variation_decisions_high": "4.9632",
         "max_pitch": "0.3", "max_pitch_low": "0.1037", "max_pitch_high": "0.4963",
         "flipper_travel": "9.0", "flipper_travel_low": "3.1103", "flipper_travel_high": "14.8897",
         "not_reached_pitch_variation_100hz": "",
@@ -235,7 +236,7 @@ def test_the_document_and_the_table_have_a_row_for_each_group() -> None:
     short, long = scene["by"]["steps"]
     assert short["drawn"] == {"steps": {"low": 3, "high": 3}}
     assert long["episodes"] == 2
-    assert long["baseline"]["difference"]["pitch_variation"]["mean"] == 0.5
+    assert long["baseline"]["difference"]["pitch_variation_decisions"]["mean"] == 0.5
     (shown,) = evaluation.group_tables("stair", scene)
     assert shown.title == "mine on stair by steps"
     assert [text[:2] for text in shown.texts()] == [["3", "5"], ["12", "2"]]
@@ -309,7 +310,15 @@ def test_the_files_are_those_that_were_recorded(name: str) -> None:
 def test_a_row_holds_every_number_under_its_column() -> None:
     row = sample(7, "stuck", 2.0, "gap", crossed_by="")
     assert list(row) == [
-        *("episode", "seed", "outcome", "terrain", "decisions", "t_cost", "pitch_variation"),
+        *(
+            "episode",
+            "seed",
+            "outcome",
+            "terrain",
+            "decisions",
+            "t_cost",
+            "pitch_variation_decisions",
+        ),
         *("pitch_variation_100hz", "max_pitch", "flipper_travel", "return", "reward_pitch"),
         *("start_shift", "crossed_by"),
     ]

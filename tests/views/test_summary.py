@@ -22,7 +22,7 @@ def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> Non
     assert (found["terrain"], found["episodes"], found["success_rate"]) == ("step", 4, 0.5)
     assert found["success"] == proportion(2, 4).to_dict()
     assert found["outcomes"] == {"reached": 2, "overturned": 0, "stuck": 1, "timeout": 1}
-    assert found["pitch_variation"] == estimate([1.0, 3.0])
+    assert found["pitch_variation_decisions"] == estimate([1.0, 3.0])
     assert found["pitch_variation_100hz"] == estimate([2.0, 6.0])
     assert found["t_cost"] == estimate([10.0, 30.0])
     assert found["flipper_travel"] == estimate([3.0, 9.0])
@@ -35,6 +35,7 @@ def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> Non
         "episodes": 2,
         "duration": estimate([990.0, 170.0]),
         "pitch_variation": estimate([99.0, 17.0]),
+        "pitch_variation_decisions": estimate([99.0, 17.0]),
         "pitch_variation_100hz": estimate([198.0, 34.0]),
         "flipper_travel": estimate([297.0, 51.0]),
     }
@@ -43,7 +44,9 @@ def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> Non
 
 def test_what_only_a_crossing_gives_is_none_where_nobody_crossed() -> None:
     found = summary("step", episodes([sample(0, "overturned", 1.0)]))
-    assert [found[name] for name in ("t_cost", "pitch_variation", "flipper_travel")] == [None] * 3
+    assert [found[name] for name in ("t_cost", "pitch_variation_decisions", "flipper_travel")] == [
+        None
+    ] * 3
     assert found["success"] == proportion(0, 1).to_dict()
     assert found["max_pitch"]["mean"] == pytest.approx(0.1)
     with pytest.raises(ValueError, match="at least one outcome"):
@@ -73,12 +76,15 @@ def test_pairs_are_equal_draws() -> None:
     assert episodes(ours).paired(theirs) == list(zip(ours, reversed(theirs), strict=True))
     found = difference(episodes(ours), theirs)
     assert found["success"] == paired_success(1, 1, 3).to_dict()
-    assert (found["pitch_variation"]["mean"], found["pitch_variation"]["episodes"]) == (-0.5, 1)
+    assert (
+        found["pitch_variation_decisions"]["mean"],
+        found["pitch_variation_decisions"]["episodes"],
+    ) == (-0.5, 1)
     assert found["pitch_variation_100hz"]["mean"] == -1.0
     assert found["t_cost"]["mean"] == -5.0
     # Measures are compared where both reached the finish.
     rest = difference(episodes(ours[2:]), theirs)
-    assert rest["pitch_variation"] is None
+    assert rest["pitch_variation_decisions"] is None
     assert rest["success"] == paired_success(0, 1, 1).to_dict()
 
 

@@ -162,7 +162,7 @@ def test_the_objective_orders_by_success_and_then_by_swing_at_100_hz() -> None:
     def value(success: float, swing: float, at_decisions: float = 0.0) -> float:
         best = {
             "success_rate": success,
-            "pitch_variation": at_decisions,
+            "pitch_variation_decisions": at_decisions,
             "pitch_variation_100hz": swing,
         }
         found = objective(best, 40)
