@@ -111,7 +111,8 @@ def _scenes(document: Document) -> list[str]:
     methods = [row["method"] for row in document["overview"]]
     scenes: dict[tuple[str, str], dict[str, str]] = {}
     for row in document["scenes"]:
-        text = f"{row['score'][0]:.2f} ({row['success'][0] * 100:.0f} %)"
+        share = f"{row['success'][0] * 100:.0f} %"
+        text = f"{row['score'][0]:.2f}" + (f" ({share})" if share != "100 %" else "")
         scenes.setdefault((row["case"], row["terrain"]), {})[row["method"]] = text
     several = len({case for case, _ in scenes}) > 1
     cells = [
@@ -135,9 +136,12 @@ def cells_table(rows: Sequence[Document]) -> list[str]:
     headings += ["θ̂_R [rad]", *(f"minus `{name}`'s" for name in others)]
     headings += ["flipper energy [J]"] if energy else []
     several = len({row["terrain"] for row in rows if row["scene"] == rows[0]["scene"]}) > 1
+    # What all scenes of a suite share, as in "…, sim=planar", its command says.
+    endings = {row["scene"].rpartition(", ")[2] for row in rows}
+    shared = f", {endings.pop()}" if len(endings) == 1 else ""
     cells = [
         [
-            f"{row['scene']}, `{row['terrain']}`" if several else row["scene"],
+            row["scene"].removesuffix(shared) + (f", `{row['terrain']}`" if several else ""),
             str(row["passable"]),
             *(str(row["reached"][name]) for name in methods),
             *([", ".join(str(row["overturned"][m]) for m in methods)] if overturned else []),
