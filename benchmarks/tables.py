@@ -144,7 +144,7 @@ def cells_table(rows: Sequence[Document]) -> list[str]:
             row["scene"].removesuffix(shared) + (f", `{row['terrain']}`" if several else ""),
             str(row["passable"]),
             *(str(row["reached"][name]) for name in methods),
-            *([", ".join(str(row["overturned"][m]) for m in methods)] if overturned else []),
+            *([_each(row["overturned"], methods)] if overturned else []),
             _ends(row["swing"][policy], interval=False),
             *(_ends(row["difference"][name]) for name in others),
             *(
@@ -156,6 +156,11 @@ def cells_table(rows: Sequence[Document]) -> list[str]:
         for row in rows
     ]
     return _lines(headings, cells)
+
+
+def _each(counts: Mapping[str, int], methods: Sequence[str]) -> str:
+    """Return the count of each method, or 0 if that is so of all."""
+    return ", ".join(str(counts[method]) for method in methods) if any(counts.values()) else "0"
 
 
 def _ends(ends: Ends, digits: int = 2, *, interval: bool = True) -> str:
