@@ -46,3 +46,35 @@ def chromium(*, draws: bool = True) -> Iterator[Any]:
             yield browser
         finally:
             browser.close()
+
+
+_CROWDED = """() => {
+  const names = "button, input, canvas, img, output, dt, dd, td, th, h1, h2, h3, label, span, p, li, a, b, text";
+  const problems = [], label = (e) => `${e.tagName.toLowerCase()} ${e.id} "${e.textContent.trim().slice(0, 40)}"`;
+  const boxes = [...document.querySelectorAll(names)].filter((e) => {
+    if (!e.checkVisibility({ opacityProperty: true, visibilityProperty: true })) return false;
+    const box = e.getBoundingClientRect();
+    const text = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+    return box.width && box.height && (text || e.matches("button, input, canvas, img")) && !e.closest("dialog:not([open])");
+  });
+  for (const e of boxes) {
+    const box = e.getBoundingClientRect();
+    if (box.left < -1 || box.right > innerWidth + 1) problems.push("cut: " + label(e));
+    const style = getComputedStyle(e);
+    if (style.overflowX !== "visible" && style.display !== "inline" && e.scrollWidth > e.clientWidth + 1 && !e.matches("input"))
+      problems.push("cut inside: " + label(e));
+  }
+  boxes.forEach((a, i) => boxes.slice(i + 1).forEach((b) => {
+    if (a.contains(b) || b.contains(a) || a.matches("canvas, img") || b.matches("canvas, img")) return;
+    const p = a.getBoundingClientRect(), q = b.getBoundingClientRect();
+    const w = Math.min(p.right, q.right) - Math.max(p.left, q.left), h = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+    if (w > 2 && h > 3) problems.push(`over each other: ${label(a)} and ${label(b)}`);
+  }));
+  return problems;
+}"""  # noqa: E501
+
+
+def crowded(tab: Any) -> list[str]:
+    """Return what is cut at the sides of a page, or lies over something else."""
+    problems: list[str] = tab.evaluate(_CROWDED)
+    return problems

@@ -120,10 +120,9 @@ class ScriptedOperator:
             way = self.plan[at]
             if picture is not None and at > len(self.plan) // 3:
                 self._forward(False)
-                tab.evaluate("document.getElementById('scene').src = '/scene?fixedDpr=1'")
-                tab.wait_for_timeout(4000)
-                dismiss(tab.frames[-1])
-                tab.screenshot(path=picture)
+                tab.evaluate("sceneMoves = () => $('scene').classList.remove('coarse')")
+                tab.wait_for_timeout(10_000)
+                tab.screenshot(path=picture, timeout=120_000)
                 picture = None
             wanted = {"front": way.front, "rear": way.rear}
             if latency := self.value("latency"):
@@ -168,13 +167,6 @@ def served(*command: str, folder: Path = Path()) -> Iterator[tuple[str, subproce
 def _pass_on(lines: Any) -> None:
     for line in lines:
         print(line, end="", file=sys.stderr)
-
-
-def dismiss(page: Any) -> None:
-    """Close viser's notice that this machine draws in software."""
-    notice = page.get_by_text("Software WebGL").locator("xpath=ancestor::*[.//button][1]")
-    notice.locator("button").first.click()
-    page.get_by_text("Software WebGL").wait_for(state="hidden")
 
 
 def drive_all(tab: Any, run: subprocess.Popen[str], given: argparse.Namespace) -> None:

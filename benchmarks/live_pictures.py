@@ -12,10 +12,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.browser import chromium
-from benchmarks.drive import dismiss, served
+from playwright.sync_api import expect
 
-WATCHED = "watch", "generalist", "level", "terrain=pallet", "sim=mujoco"
+from benchmarks.browser import chromium
+from benchmarks.drive import served
+
+WATCHED = "watch", "generalist", "level", "terrain=pallet", "sim=mujoco", "--speed", "0.3"
 
 
 def main() -> None:
@@ -26,11 +28,11 @@ def main() -> None:
     with served(*WATCHED) as (address, _), chromium() as browser:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         tab.goto(address)
-        tab.get_by_text(re.compile(r"time [6-8]\.\d s")).first.wait_for(timeout=60_000)
+        time = tab.locator("#lane-0 [data-value=time]")
+        expect(time).to_have_text(re.compile(r"^[6-8]\.\d$"), timeout=120_000)
         tab.keyboard.press("p")
-        dismiss(tab)
-        tab.wait_for_timeout(2_000)
-        tab.screenshot(path=output / "watch.png")
+        tab.wait_for_timeout(10_000)  # the scene is drawn sharply once it stands still
+        tab.screenshot(path=output / "watch.png", timeout=120_000)
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "benchmarks.drive", "--scene", "stair", "--folder", folder]
         subprocess.run([*command, "--picture", str(output / "drive.png")], check=True)  # noqa: S603

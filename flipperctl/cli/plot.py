@@ -51,14 +51,18 @@ def plot(
         typer.Option(metavar="N", help="Episode of series and poses, else the first traced."),
     ] = None,
     against: Annotated[
-        str | None, typer.Option(metavar="METHOD", help="Method of differences, else the first.")
+        str | None,
+        typer.Option(metavar="METHOD", help="Method of differences, else level, else the first."),
     ] = None,
     average: Annotated[
         str, typer.Option(metavar="NAME", help="Average over seeds in curves: mean or iqm.")
     ] = "mean",
     width: Annotated[
         str | None,
-        typer.Option(metavar="LENGTH", help="Width of the figure, as in 3.5in or 18cm [3.5in]."),
+        typer.Option(
+            metavar="LENGTH",
+            help="Width of the figure, as in 3.5in or 18cm [3.5in; poses: 7.16in].",
+        ),
     ] = None,
     style: Annotated[
         str, typer.Option(metavar="NAME", help="Size of the text: paper or slides.")

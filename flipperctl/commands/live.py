@@ -105,7 +105,8 @@ def demo(
     """
     scene = ["terrain=course"]
     entrants, find = _entrants(["generalist", "okada"], scene), _finder(scene)
-    _show(entrants, (0, episodes), port, speed, find, terminal=terminal, browser=browser)
+    span = 0, episodes
+    _show(entrants, span, port, speed, find, marks=False, terminal=terminal, browser=browser)
 
 
 def drive(
@@ -343,10 +344,14 @@ def _show(
     speed: float,
     find: Callable[[str], Entrant] | None,
     *,
+    marks: bool = True,
     terminal: bool,
     browser: bool,
 ) -> None:
-    """Show episodes from the first on; ``span``: the first, and how many."""
+    """Show episodes from the first on; ``span``: the first, and how many.
+
+    ``marks``: whether the page shows what is perceived before it is asked to.
+    """
     import sys
 
     if terminal:
@@ -361,4 +366,4 @@ def _show(
     def ready(address: str) -> None:
         _announce(address, browser)
 
-    serve(entrants, port=port, speed=speed, span=span, find=find, ready=ready)
+    serve(entrants, port=port, speed=speed, span=span, marks=marks, find=find, ready=ready)

@@ -6,13 +6,13 @@ In: traces of episodes. Out: a figure, with the map of a sensor that maps the gr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from flipperctl.api import FloatArray, Outcome, Profile, RobotGeometry, RobotState
@@ -36,6 +36,8 @@ from flipperctl.sim.outline import outlines
 
 _LEAST = 0.02
 """Smallest range of the colours of heights [m]."""
+_HIGHEST = 5.0
+"""Largest height of all panels of poses together [in]."""
 _POSES = 6
 """Largest number of poses in a panel [-]."""
 _FADE = 0.75
@@ -51,12 +53,13 @@ def episode_figure(trace: Trace) -> Figure:
     """
     heights = [1.7] if trace.maps else []
     # Panels for the poses, the angles and, with a map, the perceived heights
-    scale, height = _size([trace], WIDTH)
+    box = _window([trace])
+    scale, height = scaled(*box, 4.0, WIDTH)
     figure = Figure(figsize=(WIDTH, height + 2.7 + sum(heights)), layout="constrained")
     above, below, *lowest = figure.subplots(
         2 + len(heights), 1, height_ratios=[height, 1.7, *heights]
     )
-    shown = _draw_poses(above, trace, scale)
+    shown = _draw_poses(above, trace, scale, box)
     # Dotted lines mark the instants of the poses above.
     states = [trace.state(i) for i in range(len(trace.time))]
     for state in shown:
@@ -76,14 +79,16 @@ def episode_figure(trace: Trace) -> Figure:
 def poses_figure(traces: Sequence[Trace], names: Sequence[str], *, width: float = WIDTH) -> Figure:
     """Draw each episode's poses along the ground, one below the other; earlier poses fade.
 
-    ``names``: names of the policies, above their panels; empty for none.
+    All panels show the same part of the world. ``names``: names of the policies, above their
+    panels; empty for none.
     """
-    scale, height = _size(traces, width)
+    box = _window(traces)
+    scale, height = scaled(*box, max(1.0, _HIGHEST / len(traces)), width)
     each = height + points(0.35 if any(names) else 0.15)
     figure = Figure(figsize=(width, len(traces) * each + points(0.35)), layout="constrained")
     below = list(figure.subplots(len(traces), 1, squeeze=False, sharex=True)[:, 0])
     for axes, trace, name in zip(below, traces, names, strict=True):
-        _draw_poses(axes, trace, scale)
+        _draw_poses(axes, trace, scale, box)
         ended = "" if trace.outcome == Outcome.REACHED else f": {trace.outcome}"
         axes.set_title(f"{name}{ended}", loc="left")
         axes.set_xlabel(axes.get_xlabel() if axes is below[-1] else "")
@@ -93,18 +98,23 @@ def poses_figure(traces: Sequence[Trace], names: Sequence[str], *, width: float 
 
 @in_style
 def series_figure(
-    traces: Sequence[Trace], names: Sequence[str], *, width: float = COLUMN
+    traces: Sequence[Trace],
+    names: Sequence[str],
+    *,
+    places: Mapping[str, int] = {},
+    width: float = COLUMN,
 ) -> Figure:
     """Draw pitch, flippers and the height of the chassis over time, a curve for each policy.
 
-    A cross ends the curve of an episode that did not reach the finish.
+    ``places``: see ``figure.places``. A cross ends the curve of an episode that did not reach the
+    finish.
     """
     figure, axes = panels(width, 4, points(0.85))
+    looks = [look(places.get(name, at), marked=False) for at, name in enumerate(names)]
     # A panel for each quantity, with a curve for each policy
     for panel, (label, values) in zip(axes, _SERIES.items(), strict=True):
         style_axes(panel, "", "", label)
-        for at, trace in enumerate(traces):
-            shown = look(at, marked=False)
+        for shown, trace in zip(looks, traces, strict=True):
             curve = values(trace)
             panel.plot(trace.time, curve, **shown)
             if trace.outcome != Outcome.REACHED:
@@ -119,7 +129,7 @@ def series_figure(
         place = panel.get_subplotspec()
         if place is not None and place.is_last_row():
             panel.set_xlabel("Time [s]")
-    lines = [Line2D([], [], label=name, **look(at, marked=False)) for at, name in enumerate(names)]
+    lines = [Line2D([], [], label=name, **shown) for shown, name in zip(looks, names, strict=True)]
     legend(figure, lines if len(lines) > 1 else [])
     figure.align_ylabels()
     return figure
@@ -155,13 +165,13 @@ def _window(traces: Sequence[Trace]) -> tuple[FloatArray, FloatArray]:
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
-def _size(traces: Sequence[Trace], width: float) -> tuple[int, float]:
-    """Return the scale of heights, and the height of a panel [in]."""
-    return scaled(*_window(traces), 4.0, width)
+def _draw_poses(
+    axes: Axes, trace: Trace, scale: int, box: tuple[FloatArray, FloatArray]
+) -> list[RobotState]:
+    """Draw the ground, the path of the chassis centre, and poses with their times; return these.
 
-
-def _draw_poses(axes: Axes, trace: Trace, scale: int) -> list[RobotState]:
-    """Draw the ground, the path of the chassis centre, and poses with their times; return these."""
+    ``box``: corners of what is shown, (x, z) in world [m].
+    """
     # The ground, and the way of the chassis centre over it
     draw_ground(axes, trace.profile)
     path = axes.plot(*trace.position.T, color=INK, linewidth=points(0.6), label="chassis centre")
@@ -177,14 +187,26 @@ def _draw_poses(axes: Axes, trace: Trace, scale: int) -> list[RobotState]:
     for i, state in enumerate(shown):
         fade = _FADE * (1 - (i + 1) / len(shown))
         RobotArtist(axes, zorder=5.0 + i, fade=fade).show(state, trace.robot)
-        top = outlines(state, trace.robot)[:, :, 1].max()
-        axes.annotate(
-            f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 2), ha="center",
-            textcoords="offset points", fontsize=points(7),
-            zorder=5.0 + len(shown), path_effects=[withStroke(linewidth=1.5, foreground="white")],
-        )  # fmt: skip
-    frame(axes, *_window([trace]), scale)
+    frame(axes, *box, scale)
     axes.set_aspect("auto")  # see _fit
+    # Times stand above all bodies and times that they would touch.
+    size: Any = axes.get_figure(root=True)
+    inch = float((box[1] - box[0])[0]) / (size.get_figwidth() - points(0.6))  # [m]
+    wide, tall = points(0.34) * inch, points(0.12) * inch / scale  # [m]
+    corners = np.concatenate([outlines(state, trace.robot) for state in shown])  # (3 S, P, 2)
+    along = np.linspace(0, 1, 20)[:, None, None, None]
+    bodies = (corners + along * (np.roll(corners, -1, axis=1) - corners)).reshape(-1, 2)
+    placed: list[tuple[float, float]] = []
+    for state in shown:
+        x = float(state.position[0])
+        z = float(bodies[np.abs(bodies[:, 0] - x) < 0.6 * wide, 1].max()) + 0.3 * tall
+        for other, height in sorted(placed, key=lambda at: at[1]):
+            if abs(other - x) < wide and abs(height - z) < tall:
+                z = height + tall
+        placed.append((x, z))
+        axes.text(
+            x, z, f"{state.time:.1f} s", ha="center", va="bottom", fontsize=points(7), zorder=20,
+        )  # fmt: skip
     return shown
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -135,6 +136,22 @@ def look(index: int, *, marked: bool = True) -> dict[str, Any]:
         "linestyle": LINES[index % len(LINES)],
         "marker": MARKERS[index % len(MARKERS)] if marked else None,
     }
+
+
+def places(labels: Sequence[str], rules: Sequence[str]) -> dict[str, int]:
+    """Return the index of each method's look, which does not depend on what else is drawn.
+
+    ``rules``: names of the known rules, ascending. They have places of their own, from the end of
+    the palette; trained policies take the others in their order.
+    """
+    at: dict[str, int] = {}
+    count = len(COLOURS)
+    for label in sorted(label for label in labels if label in rules):
+        place = count - 1 - rules.index(label) * count // len(rules)
+        further = ((place - k) % count for k in range(count))
+        at[label] = next((i for i in further if i not in at.values()), count + len(at))
+    rest = (i for i in itertools.count() if i not in at.values())
+    return at | {label: next(rest) for label in labels if label not in at}
 
 
 def draw_ground(axes: Axes, profile: Profile) -> None:

@@ -30,6 +30,12 @@ from flipperctl.figures.render import FAINT, INK
 Row = Mapping[str, Any]
 """Keys ``method`` and ``scene``, and by the name of each metric a mean with its interval: a mapping
 with ``mean``, ``low`` and ``high``, whose ends may be None; or None where there is no value."""
+Places = Mapping[str, int]
+"""Index of each method's look; methods that are missing have that of their order."""
+NO_PLACES: Places = {}
+_BANDS, _BARS = 2, 6
+"""Largest number of profiles with bands; number of bars of each, where there are more [-]."""
+_PALE = 0.85  # opacity of the cells of a heat table [-]
 _MOST = 6
 """Largest number of scenes beside each other in a heat table [-]."""
 _ROW = 0.15
@@ -38,14 +44,18 @@ _ROW = 0.15
 
 @in_style
 def intervals_figure(
-    rows: Sequence[Row], metrics: Sequence[str], *, width: float = COLUMN
+    rows: Sequence[Row],
+    metrics: Sequence[str],
+    *,
+    places: Places = NO_PLACES,
+    width: float = COLUMN,
 ) -> Figure:
     """Draw the mean of each method and its 95 % interval, a panel for each metric.
 
     With one scene, methods stand below each other by name; with several, scenes do, and a legend
-    names the methods.
+    names the methods. ``places``: see ``figure.places``.
     """
-    looks = _looks(rows)
+    looks = _looks(rows, places)
     figure, axes = _beside(rows, len(metrics), width)
     # Labels fold where panels are narrow.
     longest = max(len(row["method" if _count(rows) == 1 else "scene"]) for row in rows)
@@ -65,36 +75,59 @@ def intervals_figure(
 
 @in_style
 def differences_figure(
-    rows: Sequence[Row], metric: str, against: str, *, width: float = COLUMN
+    rows: Sequence[Row],
+    metric: str,
+    against: str,
+    *,
+    places: Places = NO_PLACES,
+    width: float = COLUMN,
 ) -> Figure:
     """Draw the differences of methods to ``against`` on the same episodes; less is better.
 
-    Rows have the mean with its interval under ``metric``, and under ``episodes`` the differences
-    of single episodes, (E,), which are drawn as dots. The rows of ``against`` itself, without
-    either, only keep the colours of the others.
+    Rows have the mean with its interval under ``metric``; under ``episodes`` the differences of
+    single episodes, (E,), which are drawn as dots; and under ``failed`` who failed in each: 1 the
+    method alone, -1 ``against`` alone, 0 neither or both. Failures of one alone are crosses at the
+    ends of the axis, whatever a failure counts as.
     """
-    looks = _looks(rows)
-    rows = [row for row in rows if row["method"] != against]
+    looks = _looks(rows, places)
     figure, (axes,) = _beside(rows, 1, width)
-    # Single episodes as dots around the line of their method
+    # The range of the dots and the intervals
+    ends = [row[metric][key] for row in rows for key in ("low", "mean", "high")]
+    spreads = [np.asarray(row["episodes"])[np.asarray(row["failed"]) == 0] for row in rows]
+    inside = np.concatenate([[0.0], *spreads, [end for end in ends if end is not None]])
+    margin = 0.12 * (float(np.ptp(inside)) or 1.0)
+    edges = {-1: float(inside.min()) - margin, 1: float(inside.max()) + margin}
+    # Single episodes as dots around the line of their method, failures as crosses at the ends
+    crossed = False
     for height, row in _placed(rows):
-        spread = np.asarray(row["episodes"], np.float64)
+        spread, failed = np.array(row["episodes"], np.float64), np.asarray(row["failed"])
         # Dots of equal differences stay apart; the same in every picture.
         shift = np.random.default_rng(len(spread)).uniform(-0.22, 0.22, len(spread))
-        axes.plot(
-            spread, height + shift / _count(rows), ".", color=looks[row["method"]]["color"],
-            alpha=0.35, markersize=points(3.5), markeredgewidth=0,
-        )  # fmt: skip
+        for side, marker in ((0, "."), (-1, "x"), (1, "x")):
+            drawn = failed == side
+            crossed |= bool(side and drawn.any())
+            axes.plot(
+                spread[drawn] if side == 0 else np.full(drawn.sum(), edges[side]),
+                height + shift[drawn] / _count(rows), marker, alpha=0.55,
+                color=looks[row["method"]]["color"], markersize=points(4.0 if side else 3.5),
+                markeredgewidth=points(0.8) if side else 0,
+            )  # fmt: skip
+    axes.set_xlim(edges[-1] - margin / 2, edges[1] + margin / 2)
     # Means with their intervals, and the side of zero that is better
     axes.axvline(0.0, color=INK, linewidth=points(0.7))
     _estimates(axes, rows, looks, metric)
-    axes.annotate(
-        "← better", (0.0, 1.0), xycoords=("data", "axes fraction"), xytext=(-3, 0), ha="right",
-        va="bottom", textcoords="offset points", color=FAINT,
+    axes.text(
+        0.0, 1.0, "← better than " + against, transform=axes.transAxes, va="bottom", color=FAINT,
         fontsize=matplotlib.rcParams["legend.fontsize"],
     )  # fmt: skip
     name, _, unit = label(metric).rpartition(" [")
-    style_axes(axes, "", f"Difference in {name[0].lower()}{name[1:]} to {against} [{unit}", "")
+    words = f"Difference in {name[0].lower()}{name[1:]} to {against} [{unit}"
+    if crossed:
+        words += f"\n× failed: right the method alone, left {against} alone"
+    style_axes(axes, "", words, "")
+    if crossed:
+        axes.xaxis.label.set_verticalalignment("top")
+        axes.xaxis.labelpad = points(2)
     axes.grid(visible=False, axis="y")
     _name(figure, [axes], rows, looks)
     return figure
@@ -104,8 +137,9 @@ def differences_figure(
 def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> Figure:
     """Draw a table of methods and scenes whose cells are coloured by their mean.
 
-    A cell also tells the success, under ``success``, where it is below 100 %. Many scenes stand
-    below each other.
+    Colours go from the least to the largest mean of each scene, since scenes are rough or smooth by
+    themselves; those of success, from 0 to 100 %. A cell also tells the success, under
+    ``success``, where it is below 100 %. Many scenes stand below each other.
     """
     # Where more scenes are compared than fit side by side, they become the lines.
     lines, columns = "method", "scene"
@@ -128,14 +162,24 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
     figure = Figure(figsize=(width, points(tall * len(methods) + 0.9)), layout="constrained")
     axes = figure.subplots()
     colours = matplotlib.colormaps["viridis" if metric == SUCCESS else "viridis_r"]
-    mesh = axes.imshow(np.ma.masked_invalid(table), cmap=colours, aspect="auto")
-    if metric == SUCCESS:
-        mesh.set_clim(0, 100)
+    shades = table / 100
+    if metric != SUCCESS:  # within each scene
+        along = 0 if lines == "method" else 1
+        least, most = (
+            np.array(end(np.nan_to_num(table, nan=filled), axis=along, keepdims=True))
+            for end, filled in ((np.min, np.inf), (np.max, -np.inf))
+        )
+        with np.errstate(invalid="ignore"):
+            shades = (table - least) / np.where(most > least, most - least, 1.0)
+    mesh = axes.imshow(
+        np.ma.masked_invalid(shades), cmap=colours, aspect="auto", vmin=0, vmax=1, alpha=_PALE
+    )
     # Numbers in the cells, white on dark colours
     for (i, j), value in np.ndenumerate(table):
         number = "–" if np.isnan(value) else f"{value:.0f}" if metric == SUCCESS else f"{value:.2f}"
         texts = [number, *([f"{partly[i, j]:.0f} %"] if (i, j) in partly else [])]
-        dark = np.isfinite(value) and np.dot(mesh.to_rgba(value)[:3], (0.3, 0.6, 0.1)) < 0.5
+        shade = np.dot(mesh.to_rgba(shades[i, j])[:3], (0.3, 0.6, 0.1)) * _PALE + 1 - _PALE
+        dark = np.isfinite(value) and shade < 0.5
         axes.text(
             j, i, "\n".join(texts), ha="center", va="center", color="white" if dark else INK,
             fontsize=matplotlib.rcParams["legend.fontsize"], linespacing=1.0,
@@ -157,33 +201,49 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
         pad=0.03,
         aspect=40,
     )
-    bar.set_label(label(metric) + ("\nbelow: success, if not 100 %" if partly else ""))
+    bar.set_ticks([0, 1], labels=["0", "100"] if metric == SUCCESS else ["least", "largest"])
+    words = label(metric) + ("" if metric == SUCCESS else ", coloured within each scene")
+    bar.set_label(words + ("\nbelow: success, if not 100 %" if partly else ""))
     bar.ax.tick_params(labelsize=matplotlib.rcParams["xtick.labelsize"])
     return figure
 
 
 @in_style
 def profiles_figure(
-    levels: Any, curves: Mapping[str, Any], metric: str, *, width: float = COLUMN
+    levels: Any,
+    curves: Mapping[str, Any],
+    metric: str,
+    *,
+    places: Places = NO_PLACES,
+    width: float = COLUMN,
 ) -> Figure:
     """Draw performance profiles: the share of episodes whose score is at most each level.
 
     ``curves``: share with both ends of its band, (3, L), by method; ``levels``: (L,), in the unit
-    of the metric. A curve ends at the method's success rate.
+    of the metric. A curve ends at the method's success rate. The bands of more than two methods are
+    bars at a few levels, which stay apart.
     """
     figure = Figure(figsize=(width, 0.62 * min(width, points(4.2))), layout="constrained")
     axes = figure.subplots()
     handles = []
     for at, (name, (share, low, high)) in enumerate(curves.items()):
-        shown = look(at, marked=False)
+        shown = look(places.get(name, at), marked=False)
         handles += axes.step(levels, 100 * share, where="post", label=name, **shown)
-        axes.fill_between(
-            levels, 100 * low, 100 * high, step="post", color=shown["color"], alpha=0.15,
-            linewidth=0,
-        )  # fmt: skip
+        if len(curves) <= _BANDS:
+            axes.fill_between(
+                levels, 100 * low, 100 * high, step="post", color=shown["color"], alpha=0.15,
+                linewidth=0,
+            )  # fmt: skip
+            continue
+        # Bars beside each other, at the middle of equal parts of the axis
+        bars = (np.arange(_BARS) + (at + 0.5) / len(curves)) / _BARS * (len(levels) - 1)
+        k = bars.round().astype(int)
+        axes.vlines(
+            levels[k], 100 * low[k], 100 * high[k], color=shown["color"], linewidth=points(0.8)
+        )
     axes.set_xlim(levels[0], levels[-1])
     axes.set_ylim(-2, 102)
-    style_axes(axes, "", label(metric), "Episodes reached\nat or below it [%]")
+    style_axes(axes, "", label(metric), "Episodes reached\nwith at most that [%]")
     legend(figure, handles)
     return figure
 
@@ -194,10 +254,10 @@ def _count(rows: Sequence[Row]) -> int:
     return len({row["method"] for row in rows}) if several else 1
 
 
-def _looks(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+def _looks(rows: Sequence[Row], places: Places) -> dict[str, dict[str, Any]]:
     """Return colour and marker of each method."""
     methods = dict.fromkeys(row["method"] for row in rows)
-    shown = {name: look(at) for at, name in enumerate(methods)}
+    shown = {name: look(places.get(name, at)) for at, name in enumerate(methods)}
     return {name: {key: style[key] for key in ("color", "marker")} for name, style in shown.items()}
 
 

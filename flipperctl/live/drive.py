@@ -13,7 +13,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -33,9 +32,9 @@ from flipperctl.api import (
 )
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
-from flipperctl.live.gate import Gate
-from flipperctl.live.hands import Answers, Asked, Hands, parse
-from flipperctl.live.scene import LiveScene
+from flipperctl.live.gate import Gate, page_file
+from flipperctl.live.hands import Answers, Asked, Hands, Theme, parse
+from flipperctl.live.scene import LiveScene, Stage
 
 PERIOD = 0.05
 """Time between two commands [s]."""
@@ -72,21 +71,12 @@ class DrivePage:
         self._answers: tuple[int, ...] | None = None
         self._about: dict[str, Any] = {}
         self._state: dict[str, Any] = {}
+        self._dark: bool | None = None
         self.hands: Hands | None = None
         """Hands of the running episode."""
-        page = files("flipperctl.live").joinpath("drive.html").read_bytes()
-        self.gate = Gate(port, page=page, control=self, what="driving")
-        # The scene that the page embeds, seen from the robot's right
-        server = self.gate.server
-        server.gui.configure_theme(show_logo=False, show_share_button=False)
-        server.gui.main_panel.minimize()
-        server.scene.configure_default_lights(cast_shadow=False)  # a browser may draw in software
-        server.scene.set_up_direction("+z")
-        server.scene.world_axes.visible = False
-        server.initial_camera.position = (0.2, -3.0, 1.1)
-        server.initial_camera.look_at = (0.2, 0.2, 0.05)
-        self.follower = server.scene.add_frame("/drive", show_axes=False)
-        """Frame of the scene, which moves so that the robot stays in view."""
+        self.gate = Gate(port, page=page_file("drive.html"), control=self, what="driving")
+        self.stage = Stage(self.gate.server)
+        """What the page shows beside the robot and its ground."""
 
     def opened(self, client: int) -> None:
         """Show a browser the episode; the only one drives."""
@@ -117,7 +107,9 @@ class DrivePage:
         parsed = parse(message)
         with self._lock:
             # Any browser may take over; all other messages count from the driver alone.
-            if not isinstance(parsed, Asked | Answers) and parsed.what == "take":
+            if isinstance(parsed, Theme):
+                self._dark = parsed.dark
+            elif not isinstance(parsed, Asked | Answers) and parsed.what == "take":
                 if client != self._driver:
                     self._leave(client)
             elif client != self._driver or self.hands is None:
@@ -145,6 +137,9 @@ class DrivePage:
         with self._lock:
             self._state = {"kind": "state", **state}
             clients = list(self._clients)
+            dark, self._dark = self._dark, None
+        if dark is not None:
+            self.stage.set_dark(dark)
         self._send(self._state, clients)
 
     def _send(self, state: dict[str, Any], clients: Collection[int]) -> None:
@@ -212,7 +207,7 @@ class Person:
         """
         self._page, self._env, self._helper, self._about = page, env, helper, about
         self._hands = Hands(env.robot, PERIOD, helped=helper is not None)
-        self._scene = LiveScene(page.gate.server.scene, "/drive/0", 0.0)
+        self._scene = LiveScene(page.gate.server.scene)
         self._proposed: tuple[float, float] = 0, 0
         self._pitch: float | None = None
         self._variation = 0.0
@@ -238,7 +233,8 @@ class Person:
         self._hands = Hands(robot, PERIOD, helped=self._helper is not None)
         env.drive.report_poses(self._moved)
         shown = env.scene
-        self._scene.begin(env.profile, robot, shown.finish, "")
+        floor = self._page.stage.begin([env.profile])
+        self._scene.begin(env.profile, robot, shown.finish, floor)
         self._scene.show(env.state)
         world = env.drive.world
         self._cameras = isinstance(world.of_engine, CameraWorld)
@@ -293,7 +289,7 @@ class Person:
         if self.count % _SCENE == 0:
             with page.gate.server.atomic():
                 self._scene.show(state)
-                page.follower.position = (-float(state.position[0]), 0.0, 0.0)
+                page.stage.follow([state])
         self._draw(world)
         self._wait()
         # What the person's hands do at the tick itself

@@ -19,6 +19,7 @@ import threading
 from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import redirect_stdout
+from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import parse_qs
 
@@ -62,6 +63,15 @@ _log = logging.getLogger(__name__)
 _handshakes = logging.getLogger(f"{__name__}.handshakes")
 _handshakes.setLevel(logging.CRITICAL)  # whoever reaches the port could fill the terminal
 _starting = threading.Lock()
+
+
+def page_file(name: str) -> bytes:
+    """Return a live page with the style and the script that all of them share."""
+    folder = files("flipperctl.live")
+    text = folder.joinpath(name).read_text("utf-8")
+    for part in ("page.css", "page.js"):
+        text = text.replace(f"/* {part} */", folder.joinpath(part).read_text("utf-8"))
+    return text.encode()
 
 
 class Control(Protocol):

@@ -48,6 +48,13 @@ class Do(_Message):
     what: Literal["begin", "again", "next", "take", "release"]
 
 
+class Theme(_Message):
+    """Whether the page is dark."""
+
+    kind: Literal["theme"]
+    dark: bool
+
+
 class Answers(_Message):
     """Answers to the six questions of NASA-TLX."""
 
@@ -57,12 +64,12 @@ class Answers(_Message):
     ]
 
 
-_MESSAGES: TypeAdapter[Asked | Do | Answers] = TypeAdapter(
-    Annotated[Asked | Do | Answers, Field(discriminator="kind")]
+_MESSAGES: TypeAdapter[Asked | Do | Answers | Theme] = TypeAdapter(
+    Annotated[Asked | Do | Answers | Theme, Field(discriminator="kind")]
 )
 
 
-def parse(message: str) -> Asked | Do | Answers:
+def parse(message: str) -> Asked | Do | Answers | Theme:
     """Return a message of the page; ``ValueError`` if it is none."""
     return _MESSAGES.validate_json(message, strict=True)
 

@@ -118,6 +118,8 @@ class Lane:
         self.env: FlipperEnv
         """The environment of the episode."""
         self.title = ""
+        self.recorded = False
+        """Whether the title says which episode it is."""
         self._moments: Iterator[Moment] = iter(())
 
     def begin(self, index: int, difficulty: float = 1.0, seed: int | None = None) -> Moment:
@@ -129,6 +131,7 @@ class Lane:
         self.env = FlipperEnv(config=episode.config)
         self._moments = self._played(episode, difficulty)
         first = next(self._moments)
+        self.recorded = bool(episode.title)
         self.title = episode.title or episode.config.terrain.plugin_name
         self.history.add(first)
         return first

@@ -1,40 +1,148 @@
-"""The 3-D scene of one robot on its ground, as meshes of a viser server.
+"""The 3-D scene of live pages, in the colours and lights of films, as nodes of a viser server.
 
-In: a profile, a robot, states and perceptions. Out: nodes below one name. Ground of the side plane
-is drawn as a strip, with edges where its slope changes. World: x forward, y to the left, z up [m].
+In: profiles, robots, states and perceptions. Out: a stage with sky, sun, floor and camera, and for
+each robot a lane with its ground. Ground of the side plane is drawn as a strip, with edges where
+its slope changes. World: x forward, y to the left, z up [m].
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from flipperctl.api import FloatArray, Perception, Profile, RobotGeometry, RobotState
 from flipperctl.api import candidate_angle as candidate
-from flipperctl.sim.mujoco.appearance import Mesh, ground_meshes, robot_meshes
+from flipperctl.sim.mujoco.appearance import (
+    SKY,
+    SUN,
+    Mesh,
+    ground_meshes,
+    profile_line,
+    robot_meshes,
+)
 from flipperctl.sim.mujoco.ground import Strip
 from flipperctl.sim.mujoco.settings import MujocoSettings
 from flipperctl.sim.outline import REAR
 
 WIDTH = 1.5
 """Width of a strip of ground [m]."""
-_LEVEL = 4.0
-"""Length of the level ground before and past the profile [m]."""
+_BETWEEN = 0.35
+"""Distance between the grounds of two lanes [m]."""
+_LEVEL = 14.0
+"""Length of the level ground before and past the profile, which ends in the haze [m]."""
+_FLOOR = "#CBC5BA"
+_WIDE = 20.0  # half the width of the floor [m]
+_HAZE = 8.0, 15.0  # distance from the camera at which the haze begins, and is all that is seen [m]
+_THIN = 0.02  # ground of a lane above the floor, at its lowest point [m]
+_SKIES = {False: ("#C3DAEE", SKY), True: ("#1C2530", "#252E39")}
+"""Colours of the sky at its top and at the horizon, by whether the page is dark."""
+_BAND = 0.1
+"""Part of a picture's height in which the sky changes its colour, from its top [-]."""
+_LIGHTS = {False: (3.9, 2.25), True: (2.3, 1.2)}
+"""Light from all sides and of the sun, by whether the page is dark; by day, a face towards the sun
+has its own colour."""
+_ANGLE = math.radians(30)  # vertical angle of view
+_AZIMUTH, _ELEVATION = math.radians(72), math.radians(16)  # of the camera, as in films
+_DISTANCE, _FARTHER = 5.4, 1.3  # of the camera from one robot, and for each further lane [m]
+_AHEAD, _ABOVE = 0.5, 0.1  # where the camera looks, seen from the robot [m]
+_RISE = 0.05  # part of the robots' rise that the camera follows at each state [-]
+_TOGETHER = 1.0  # largest distance of the camera's middle behind the foremost robot [m]
 _TRACKS = MujocoSettings()
 """Where the tracks lie beside the chassis."""
 _BESIDE = -WIDTH / 2 - 0.02
 """y of what is perceived, beside the strip [m]."""
+_BEFORE_CURVE = np.array(
+    [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]]
+)
+_AFTER_CURVE = np.array(
+    [[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]]
+)
+"""Mixtures of red, green and blue before and after the curve of a browser's tone mapping."""
 HEIGHTS, HIGHEST, INK, RAY = "#AA4499", "#DDAAD2", "#222222", "#CC3311"
 PLAN, MAP = "#DDAA33", "#33BBEE"
 
 
-class LiveScene:
-    """Nodes of one lane; what lies below ``name`` moves with the lane's place beside others."""
+class Stage:
+    """What all lanes share: sky, lights, floor, and a camera that follows the robots."""
 
-    def __init__(self, scene: Any, name: str, side: float) -> None:
-        """``scene``: ``viser.SceneApi``; ``side``: y of the lane's middle [m]."""
+    def __init__(self, server: Any) -> None:
+        """``server``: a ``viser.ViserServer``, whose panel stays empty."""
+        self._server, scene = server, server.scene
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.minimize()
+        scene.set_up_direction("+z")
+        scene.world_axes.visible = False
+        # The sun alone casts shadows; pictures that surround a scene would grey its colours.
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(enabled=False)
+        self._lights = (
+            scene.add_light_ambient("/ambient"),
+            scene.add_light_directional(
+                "/sun", cast_shadow=True, position=tuple(-10 * part for part in SUN)
+            ),
+        )
+        self._world = scene.add_frame("/drive", show_axes=False)
+        self._floor: Any = None
+        self._height: float | None = None
+        """z that the camera follows; None before the first state of an episode [m]."""
+        self.set_dark(False)
+        self.look_at_lanes(1)
+
+    def set_dark(self, dark: bool) -> None:
+        """Show day or dusk."""
+        scene = self._server.scene
+        top, horizon = (np.array(rgb(colour)) for colour in _SKIES[dark])
+        share = np.linspace(0, 1, 256)[:, None].clip(0, _BAND) / _BAND
+        sky = ((1 - share) * top + share * horizon).round().astype(np.uint8)
+        scene.set_background_image(np.repeat(sky[:, None], 2, axis=1), format="png")
+        # Colours of the haze are of linear light.
+        red, green, blue = (255 * _linear(_SKIES[dark][1])).round().astype(int).tolist()
+        scene.configure_fog(*_HAZE, color=(red, green, blue))
+        for light, intensity in zip(self._lights, _LIGHTS[dark], strict=True):
+            light.intensity = intensity
+
+    def look_at_lanes(self, count: int) -> None:
+        """Turn the cameras of all browsers to ``count`` lanes."""
+        middle = np.array([_AHEAD, (count - 1) / 2 * (WIDTH + _BETWEEN), _ABOVE])
+        flat = math.cos(_ELEVATION)
+        towards = [flat * math.cos(_AZIMUTH), flat * math.sin(_AZIMUTH), -math.sin(_ELEVATION)]
+        place = middle - (_DISTANCE + _FARTHER * (count - 1)) * np.array(towards)
+        cameras = [client.camera for client in self._server.get_clients().values()]
+        for camera in (self._server.initial_camera, *cameras):
+            camera.position, camera.look_at = tuple(place), tuple(middle)
+            camera.fov = _ANGLE
+
+    def begin(self, profiles: Sequence[Profile]) -> float:
+        """Lay the floor below the grounds of an episode; return its z [m]."""
+        z = min(float(profile.extended(_LEVEL, _LEVEL)[:, 1].min()) for profile in profiles) - _THIN
+        corners = _WIDE * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        self._floor = self._server.scene.add_mesh_simple(
+            "/floor", np.insert(corners, 2, z, axis=1).astype(np.float32),
+            np.array([[0, 1, 2], [0, 2, 3]], np.uint32), color=_surface(_FLOOR), cast_shadow=False,
+        )  # fmt: skip
+        self._height = None
+        return z
+
+    def follow(self, states: Sequence[RobotState]) -> None:
+        """Keep the robots in view, the foremost at least."""
+        places = [float(state.position[0]) for state in states]
+        middle = max((min(places) + max(places)) / 2, max(places) - _TOGETHER)
+        height = float(np.mean([state.position[1] for state in states]))
+        before = height if self._height is None else self._height
+        self._height = before + _RISE * (height - before)
+        self._world.position = (-middle, 0.0, -self._height)
+        self._floor.position = (0.0, 0.0, -self._height)
+
+
+class LiveScene:
+    """Nodes of one lane; what lies below its name moves with its place beside others."""
+
+    def __init__(self, scene: Any, lane: int = 0) -> None:
+        """``scene``: ``viser.SceneApi``; ``lane``: number of lanes between it and the camera."""
+        name, side = f"/drive/{lane}", lane * (WIDTH + _BETWEEN)
         self._scene, self._name, self._side = scene, name, side
         self._robot: RobotGeometry | None = None
         self._root = scene.add_frame(name, show_axes=False, position=(0.0, side, 0.0))
@@ -49,20 +157,29 @@ class LiveScene:
         """Remove everything below the name."""
         self._root.remove()
 
-    def begin(self, profile: Profile, robot: RobotGeometry, finish: float, label: str) -> None:
-        """Show the ground, a robot at rest and the finish line [m] of a new episode."""
+    def begin(
+        self, profile: Profile, robot: RobotGeometry, finish: float, floor: float, label: str = ""
+    ) -> None:
+        """Show a new episode: ground from the ``floor`` [m] up, a robot at rest, the finish [m]."""
         self.perceived.remove()  # of the episode before
         self.perceived = self._add_perceived()
         ground = Strip(-WIDTH / 2, WIDTH / 2, profile.extended(_LEVEL, _LEVEL))
-        for mesh in ground_meshes([ground], -WIDTH / 2, WIDTH / 2):
-            self._mesh(f"ground/{mesh.colour[1:]}", mesh)
+        border = -WIDTH / 2
+        deep = float(ground.line[:, 1].min()) - floor
+        for mesh in ground_meshes([ground], border, WIDTH / 2, deep):
+            self._mesh(f"ground/{mesh.colour[1:]}", mesh, shadow=False)
+        self._mesh("ground/line", profile_line([ground], border), shadow=False)
         # The finish: two posts and a line on the ground
         z = profile.height(finish)
         gate = [[[finish, y, z], [finish, y, z + 0.6]] for y in (-WIDTH / 2, WIDTH / 2)]
         gate.append([[finish, -WIDTH / 2, z + 0.01], [finish, WIDTH / 2, z + 0.01]])
         self._lines("finish", np.array(gate), REAR, 4.0)
         self._build(robot)
-        self._scene.add_label(f"{self._name}/chassis/label", label, position=(0.0, 0.0, 0.5))
+        if label:
+            self._scene.add_label(
+                f"{self._name}/chassis/label", label, position=(0.0, 0.0, 0.45),
+                anchor="bottom-center",
+            )  # fmt: skip
 
     def _build(self, robot: RobotGeometry) -> None:
         self._robot = robot
@@ -139,12 +256,12 @@ class LiveScene:
             point_size=size, point_shape="circle",
         )  # fmt: skip
 
-    def _mesh(self, name: str, mesh: Mesh, side: float = 0.0) -> None:
+    def _mesh(self, name: str, mesh: Mesh, side: float = 0.0, *, shadow: bool = True) -> None:
         corners = mesh.triangles.reshape(-1, 3).astype(np.float32)
         faces = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
         self._scene.add_mesh_simple(
-            f"{self._name}/{name}", corners, faces, color=rgb(mesh.colour), flat_shading=True,
-            side="double", position=(0.0, side, 0.0),
+            f"{self._name}/{name}", corners, faces, color=_surface(mesh.colour), flat_shading=True,
+            side="double", position=(0.0, side, 0.0), cast_shadow=shadow,
         )  # fmt: skip
 
     def _lines(self, name: str, points: FloatArray, colour: str, thick: float) -> None:
@@ -157,6 +274,31 @@ class LiveScene:
 def rgb(colour: str) -> tuple[int, int, int]:
     """Return a colour of HTML, such as ``#0072B2``, as numbers."""
     red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
+
+
+def _linear(colour: str) -> FloatArray:
+    """Return a colour of HTML in linear light, (3,), 0 to 1."""
+    parts = np.array(rgb(colour)) / 255
+    return np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+
+
+def _surface(colour: str) -> tuple[int, int, int]:
+    """Return the colour of a surface that a browser shows as ``colour`` in the sun of the day.
+
+    Browsers map light by the filmic curve of ACES (Hill's fit, as in three.js), which makes it
+    paler; this is the inverse of the curve.
+    """
+    y = np.linalg.solve(_AFTER_CURVE, _linear(colour))
+    # y = (v² + a v - b) / (c v² + d v + e), solved for v
+    a, b, c, d, e = 0.0245786, 0.000090537, 0.983729, 0.4329510, 0.238081
+    half = (a - d * y) / (2 * (1 - c * y))
+    light = np.sqrt(half**2 + (b + e * y) / (1 - c * y)) - half
+    around, sun = _LIGHTS[False]
+    shining = (around - sun * SUN[2] / math.hypot(*SUN)) / math.pi
+    parts = (0.6 * np.linalg.solve(_BEFORE_CURVE, light) / shining).clip(0, 1)
+    shown = np.where(parts <= 0.0031308, 12.92 * parts, 1.055 * parts ** (1 / 2.4) - 0.055)
+    red, green, blue = (255 * shown).round().astype(int).tolist()
     return red, green, blue
 
 
@@ -174,7 +316,8 @@ def _about_y(angle: float) -> tuple[float, float, float, float]:
 
 def _quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
     """Return (w, x, y, z) of a rotation (3, 3)."""
-    from scipy.spatial.transform import Rotation
-
-    x, y, z, w = Rotation.from_matrix(turn).as_quat().tolist()
-    return w, x, y, z
+    signs = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    w, x, y, z = np.sqrt((1 + signs @ np.diag(turn)).clip(0)) / 2
+    axis = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+    x, y, z = np.copysign((x, y, z), axis)
+    return float(w), float(x), float(y), float(z)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flipperctl.api import FloatArray, Measure, registry
+from flipperctl.api import Controller, FloatArray, Measure, registry
 from flipperctl.env.metrics import CORE
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.names import renamed, taken
@@ -57,7 +57,7 @@ class Request:
     only: Sequence[str] = ()
     """Methods to draw; empty: all."""
     against: str | None = None
-    """A method, by default the first."""
+    """A method, by default ``level``, or the first without it."""
     scene: str | None = None
     """Scene of an episode, by default the first."""
     episode: int | None = None
@@ -93,6 +93,14 @@ class Request:
         drawn = [taken(name, called, "--only") for name in self.only] or called
         return {label: called[label] for label in drawn}
 
+    def places(self, labels: Sequence[str]) -> dict[str, int]:
+        """Return the index of each method's look by what it is called, left out or not."""
+        from flipperctl.figures.figure import places
+
+        rules = sorted(name for kind, name in registry if kind == Controller.kind)
+        called = renamed(labels, self.names)
+        return {called[label]: place for label, place in places(labels, rules).items()}
+
     def one_metric(self) -> str:
         """Return the metric of a kind that shows one."""
         if len(self.metrics) > 1:
@@ -102,8 +110,8 @@ class Request:
 
 def estimates(
     request: Request, metrics: Sequence[str]
-) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
-    """Return a row for each method on each scene, and what was left out, in sentences.
+) -> tuple[list[dict[str, Any]], tuple[str, ...], dict[str, int]]:
+    """Return a row for each method on each scene, what was left out in sentences, and the looks.
 
     A row has ``method``, ``scene`` and each metric: a mean with its 95 % interval over training
     seeds and episodes, over the episodes that all seeds reached, or None.
@@ -118,7 +126,7 @@ def estimates(
             for metric, results in stored.items():
                 row[metric] = _estimate(results.methods[labels.index(label)], scene, metric)
             rows.append(row)
-    return rows, first.notices
+    return rows, first.notices, request.places(labels)
 
 
 def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | None:
@@ -146,13 +154,17 @@ def differences(
     (other,) = (m for m in comparison.stored.methods if m.name == against)
     baseline = other.scores(comparison.price)
     for method in (m for label in called for m in comparison.stored.methods if m.name == label):
+        if method is other:
+            continue
         for scene, scores in method.scores(comparison.price).items():
+            reached, before = (m.reached[scene].all(axis=0) for m in (method, other))
             gap, _ = difference_interval({scene: scores}, {scene: baseline[scene]})
             yield {
                 "method": called[method.name],
                 "scene": scene,
                 metric: gap.to_dict(),
                 "episodes": scores.mean(axis=0) - baseline[scene].mean(axis=0),
+                "failed": before.astype(int) - reached,
             }
 
 
@@ -187,20 +199,20 @@ def _intervals(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import intervals_figure
 
     metrics = list(request.metrics) or [SUCCESS, VARIATION]
-    rows, notices = estimates(request, metrics)
-    return intervals_figure(rows, metrics, **request.sized()), notices
+    rows, notices, places = estimates(request, metrics)
+    return intervals_figure(rows, metrics, places=places, **request.sized()), notices
 
 
 def _heat(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import heat_figure
 
     metric = request.one_metric()
-    rows, notices = estimates(request, [metric, SUCCESS])
+    rows, notices, _ = estimates(request, [metric, SUCCESS])
     return heat_figure(rows, metric, **request.sized()), notices
 
 
-def episodes(request: Request) -> tuple[list[Trace], list[str]]:
-    """Return a trace of each method on one episode, and the methods' names.
+def episodes(request: Request) -> tuple[list[Trace], list[str], dict[str, int]]:
+    """Return a trace of each method on one episode, the methods' names, and their looks.
 
     A method with several training seeds has the trace of the first one.
 
@@ -228,7 +240,7 @@ def episodes(request: Request) -> tuple[list[Trace], list[str]]:
     for policy, trace in by_policy.items():
         first.setdefault(policy.partition(", seed ")[0], trace)
     called = request.called(list(first))
-    return [first[label] for label in called], list(called.values())
+    return [first[label] for label in called], list(called.values()), request.places(list(first))
 
 
 def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
@@ -239,47 +251,51 @@ def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
     return wanted
 
 
-def _compared(request: Request) -> tuple[compare.Comparison, dict[str, str]]:
+def _compared(request: Request) -> tuple[compare.Comparison, dict[str, str], dict[str, int]]:
     comparison = compare.compare(request.folders, measure=request.one_metric())
-    return comparison, request.called([method.name for method in comparison.stored.methods])
+    labels = [method.name for method in comparison.stored.methods]
+    return comparison, request.called(labels), request.places(labels)
 
 
 def _differences(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import differences_figure
 
-    comparison, called = _compared(request)
+    comparison, called, places = _compared(request)
     if len(called) < 2:
         raise RequestError(f"{request.folders[0]}: two methods are needed for differences")
-    against = taken(request.against, called, "--against") if request.against else next(iter(called))
+    usual = "level" if "level" in called else next(iter(called))
+    against = taken(request.against, called, "--against") if request.against else usual
     rows, scenes = (
         list(differences(comparison, called, comparison.measure, against)),
         request.scenes(),
     )
     rows = [row | {"scene": scenes.get(row["scene"], row["scene"])} for row in rows]
-    drawn = differences_figure(rows, comparison.measure, called[against], **request.sized())
+    drawn = differences_figure(
+        rows, comparison.measure, called[against], places=places, **request.sized()
+    )
     return drawn, comparison.stored.notices
 
 
 def _profiles(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import profiles_figure
 
-    comparison, called = _compared(request)
+    comparison, called, places = _compared(request)
     levels, curves = profiles(comparison, called)
-    drawn = profiles_figure(levels, curves, comparison.measure, **request.sized())
+    drawn = profiles_figure(levels, curves, comparison.measure, places=places, **request.sized())
     return drawn, comparison.stored.notices
 
 
 def _series(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.episode import series_figure
 
-    traces, names = episodes(request)
-    return series_figure(traces, names, **request.sized()), ()
+    traces, names, places = episodes(request)
+    return series_figure(traces, names, places=places, **request.sized()), ()
 
 
 def _poses(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.episode import poses_figure
 
-    traces, names = episodes(request)
+    traces, names, _ = episodes(request)
     return poses_figure(traces, names, **request.sized()), ()
 
 

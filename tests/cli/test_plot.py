@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 import flipperctl
 from flipperctl.api import RobotGeometry
 from flipperctl.errors import RequestError
+from flipperctl.figures.figure import places
 from flipperctl.requests.drawing import draw, length
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import write as write_traces
@@ -109,11 +111,26 @@ def test_intervals_are_those_of_the_episodes_that_all_seeds_reached(here: Path) 
     assert success == pytest.approx([100 * 7 / 8])
 
 
-def test_differences_keep_the_colours_and_count_failures(here: Path) -> None:
-    every, gaps = drawn(here, "judged"), drawn(here, "judged", kind="differences")
-    assert gaps.axes[0].get_lines()[-1].get_color() == every.axes[0].get_lines()[-1].get_color()
-    dots = sorted(xs(gaps.axes[0], 0))
-    assert dots == pytest.approx([2.0 - 6.2831853 + 0.3, *[0.9] * 7])
+def test_differences_are_to_level_and_show_failures_apart(here: Path) -> None:
+    axes = drawn(here, "judged", kind="differences").axes[0]
+    dots, level_alone, method_alone = (xs(axes, line) for line in range(3))
+    assert dots == pytest.approx([-0.9] * 7)
+    assert (len(level_alone), len(method_alone)) == (0, 1)
+    assert method_alone[0] > max(dots)
+
+
+def test_a_method_has_one_colour_whatever_is_left_out(here: Path) -> None:
+    def colour(figure: Figure, line: int = -1) -> Any:
+        return figure.axes[0].get_lines()[line].get_color()
+
+    still = colour(drawn(here, "judged", only=["level"]))
+    assert still == colour(drawn(here, "judged"))
+    assert still == colour(drawn(here, "judged", kind="profiles", only=["level"]))
+    # Rules have places of their own, from the end; trained policies take the others in order.
+    rules = ["geometric", "greedy", "hfc", "level", "mpc", "ohno", "okada"]
+    found = places(["mine", "level", "okada", "yours"], rules)
+    assert found == {"level": 3, "okada": 0, "mine": 1, "yours": 2}
+    assert places(["okada", "level", "yours"], rules)["level"] == found["level"]
 
 
 def test_a_profile_ends_at_the_largest_value_and_at_the_success_rate(here: Path) -> None:

@@ -8,13 +8,14 @@ import queue
 import re
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 
+from benchmarks.browser import crowded
+from flipperctl.live.gate import page_file
+
 pytestmark = pytest.mark.slow
-PAGE = Path(__file__).parents[2] / "flipperctl" / "live" / "drive.html"
 POLICY = (  # nothing but the page's own code and its own server
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "img-src blob: data:; connect-src 'self'; frame-src 'self'; worker-src blob:"
@@ -50,7 +51,9 @@ class Server:
     def _answer(self, connection: Any, request: Any) -> Any:
         if request.path == "/control":
             return None
-        text = PAGE.read_text("utf-8") if request.path == "/" else "<!doctype html><p>scene</p>"
+        text = (
+            page_file("drive.html").decode() if request.path == "/" else "<!doctype html><canvas>"
+        )
         response = connection.respond(200, text)
         del response.headers["Content-Type"]
         response.headers["Content-Type"] = "text/html; charset=utf-8"
@@ -168,7 +171,7 @@ def test_keys(tab: Tab) -> None:
     assert tab.hands() == (0, 0, 0.4, -1, 0)
     key.press(" ")
     assert tab.hands() == (0, 0, 0, -1, 0)
-    tab.page.frames[1].locator("p").click()  # the scene has the focus, and gives it back
+    tab.page.frames[1].locator("canvas").click()  # the scene has the focus, and gives it back
     key.down("ArrowUp")
     assert tab.hands() == (0, 0, 0.4, -1, 0)
     key.up("ArrowUp")
@@ -244,6 +247,22 @@ def test_on_a_phone_held_upright_every_button_is_wide_enough_and_stop_comes_firs
         assert all(x >= 0 and right <= width for x, _, right, *_ in boxes.values())
         assert boxes["stop"][1] == min(box[1] for box in boxes.values())
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (800, 1000), (390, 844)])
+def test_nothing_is_cut_or_lies_over_something_else(tab: Tab, width: int, height: int) -> None:
+    tab.page.set_viewport_size({"width": width, "height": height})
+    tab.state(phase="ready")
+    assert crowded(tab.page) == []
+
+
+def test_keys_before_the_beginning_say_what_to_do(tab: Tab) -> None:
+    tab.state(phase="ready")
+    tab.page.keyboard.press("ArrowUp")
+    assert tab.hands() == (0, 0, 0, 0, 0)
+    assert tab.page.inner_text("#phase") == "Not begun yet: press Enter or Begin first"
+    tab.state(phase="driving")
+    assert tab.page.inner_text("#phase") == "Driving"
 
 
 def test_commands_follow_the_phase(tab: Tab) -> None:

@@ -1,10 +1,11 @@
 """What ``flipperctl watch`` shows: states, meshes, text, and the page in a real browser."""
 
 import io
+import json
 import math
-import re
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
@@ -12,15 +13,17 @@ import numpy as np
 import pytest
 
 from benchmarks import browser
-from flipperctl.api import ACTIONS, Profile, Robot, RobotState
+from flipperctl.api import Profile, Robot, RobotState
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
 from flipperctl.live import lanes, page, scene, terminal
-from flipperctl.live.gate import Gate
+from flipperctl.live.gate import Gate, page_file
 from flipperctl.live.lanes import Entrant, Episode, Lane
 from flipperctl.plugging.plugins import load
 from flipperctl.policies.source import load_policy
+from flipperctl.sim.mujoco.appearance import SUN
+from flipperctl.sim.outline import CHASSIS, FRONT, REAR
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2), (1.0, 0.0)])
 STILL = RobotState(
@@ -29,14 +32,10 @@ STILL = RobotState(
 )  # fmt: skip
 
 
-def entrant(name: str = "okada", terrain: str = "step") -> Entrant:
+def entrant(label: str = "okada", name: str = "") -> Entrant:
     load(())
-    config = EvalConfig(terrain=terrain)
-
-    def episode(index: int) -> Episode:
-        return Episode(config, load_policy(name).build(config), 7 + index)
-
-    return Entrant(name, episode)
+    config, source = EvalConfig(terrain="step"), load_policy(name or label)
+    return Entrant(label, lambda index: Episode(config, source.build(config), 7 + index))
 
 
 def test_flippers_turn_up_on_both_ends() -> None:
@@ -46,6 +45,14 @@ def test_flippers_turn_up_on_both_ends() -> None:
     for (w, _, y, _), x in (front, rear):
         raised = -math.sin(2 * math.atan2(y, w)) * x  # of a tip at x that is turned about y
         assert raised == pytest.approx(robot.flipper_axle * math.sin(0.5))
+
+
+def test_quaternions_are_those_of_scipy() -> None:
+    from scipy.spatial.transform import Rotation
+
+    for turn in Rotation.random(20, random_state=0):
+        x, y, z, w = turn.as_quat(canonical=True)
+        assert scene._quaternion(turn.as_matrix()) == pytest.approx((w, x, y, z))
 
 
 def test_a_lane_shows_the_states_of_its_episode() -> None:
@@ -63,15 +70,6 @@ def test_a_lane_shows_the_states_of_its_episode() -> None:
     assert np.diff(times).min() > 0
     assert lane.history.variation == pytest.approx(variation)
     assert lane.outcome is not None
-
-
-def test_the_table_outlines_the_chosen_action() -> None:
-    values = [float(i) for i in range(9)]
-    table = page.value_table(values, 3)
-    (chosen,) = re.findall(r"outline[^>]*>([\d.]+)<", table)
-    assert chosen == "3.00"
-    assert table.index("rear ↑") < table.index("rear ↓")
-    assert len(re.findall(r"<td", table)) == len(ACTIONS)
 
 
 def test_the_picture_has_ground_below_the_robot() -> None:
@@ -92,70 +90,108 @@ def test_the_terminal_prints_a_line_for_each_decision() -> None:
     assert max(map(len, lines)) <= 100
 
 
-SELDOM = """const draw = window.requestAnimationFrame;
-window.requestAnimationFrame = frame => setTimeout(() => draw(frame), 300)"""
+Page = tuple[Gate, page.WatchPage]
 
 
-@pytest.fixture
-def served() -> Iterator[tuple[Gate, page.WatchPage]]:
-    with Gate(0) as gate:
-        # Without a graphics card, either takes a browser seconds to begin with.
-        gate.server.scene.configure_environment_map(None)
-        gate.server.scene.configure_default_lights(cast_shadow=False)
-        shown = page.WatchPage(gate.server, [entrant("generalist"), entrant("level")], speed=2)
-        thread = threading.Thread(target=shown.run, daemon=True)
+@pytest.fixture(scope="module")
+def served() -> Iterator[Page]:
+    entrants = [entrant("generalist"), entrant("a_name_of_many_letters_as_of_a_run", "okada")]
+    shown = page.WatchPage(entrants, speed=2, find=lambda name: entrant(name))
+    with Gate(0, page=page_file("watch.html"), control=shown) as gate:
+        thread = threading.Thread(target=shown.run, args=(gate,), daemon=True)
         thread.start()
         yield gate, shown
         shown.stop()
         thread.join(20)
 
 
-@pytest.mark.slow
-def test_the_page_is_driven_by_keys_and_buttons(
-    served: tuple[Gate, page.WatchPage], play: Any
-) -> None:
-    from playwright.sync_api import expect
-
-    gate, shown = served
-    address = f"http://127.0.0.1:{gate.server.get_port()}"
+@pytest.fixture
+def tab(served: Page, chromium: Any) -> Iterator[Any]:
+    """Yield the page, without the 3-D scene, whose drawing takes a core."""
+    gate, _ = served
     problems: list[str] = []
-
-    def check(request: Any) -> None:
-        if not request.url.startswith((address, "data:", "blob:", "ws://127.0.0.1")):
-            problems.append(request.url)
-
-    opened = browser.launch(play)
-    tab = opened.new_page(viewport={"width": 1000, "height": 320})  # little to draw, and seldom
-    tab.add_init_script(SELDOM)
-    tab.set_default_timeout(120_000)
-    tab.on("request", check)
-    tab.on("pageerror", lambda error: problems.append(str(error)))
-    tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-    tab.goto(gate.address)
-    expect(tab.get_by_text("Q-values").first).to_be_visible(timeout=60_000)
-    tab.get_by_role("button", name="Pause").click()
-    expect(tab.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
-    numbers = tab.get_by_text(re.compile(r"time \d+\.\d s")).first
-    tab.wait_for_timeout(500)  # the running decision ends
-    before = _time(numbers.inner_text())
-    tab.get_by_text("Step", exact=True).click()
-    expect(numbers).not_to_contain_text(f"time {before:.1f} s", timeout=20_000)
-    lane = shown._lanes[0][0]
-    state = lane.env.state
-    tab.wait_for_timeout(500)
-    assert _time(numbers.inner_text()) == pytest.approx(state.time, abs=0.6)
-    after = shown._episode + 1
-    tab.get_by_text("Next", exact=True).click()
-    expect(tab.get_by_text(f"episode {after}").first).to_be_visible(timeout=20_000)
-    shot = tab.screenshot()
+    opened = chromium.new_page(viewport={"width": 1280, "height": 800})
+    opened.set_default_timeout(120_000)
+    opened.route("**/scene*", lambda route: route.fulfill(body="<p>scene</p>"))
+    own = gate.address.split("/?")[0], "data:", "blob:"
+    opened.on("request", lambda r: None if r.url.startswith(own) else problems.append(r.url))
+    opened.on("pageerror", lambda error: problems.append(str(error)))
+    opened.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    opened.goto(gate.address)
+    yield opened
     opened.close()
     assert problems == []
-    assert len(shot) > 10_000
 
 
-def _time(text: str) -> float:
-    (found,) = re.findall(r"time (\d+\.\d) s", text)
-    return float(found)
+@pytest.mark.slow
+def test_the_page_is_driven_by_keys_and_buttons(served: Page, tab: Any) -> None:
+    from playwright.sync_api import expect
+
+    expect.set_options(timeout=60_000)
+    _, shown = served
+    time = tab.locator("#lane-0 [data-value=time]")
+    expect(tab.locator("#lane-0 td.taken")).to_have_count(1)
+    tab.get_by_role("button", name="Pause").click()
+    expect(tab.get_by_role("button", name="Play")).to_be_visible()
+    tab.wait_for_timeout(500)  # the running decision ends
+    before = time.inner_text()
+    tab.keyboard.press("s")
+    expect(time).not_to_have_text(before)
+    # Other episodes begin where they are asked for, paused or not.
+    after = shown._episode + 1
+    tab.keyboard.press("n")
+    expect(tab.locator("#title")).to_have_text(f"step, episode {after}")
+    tab.locator("#seed").fill("5")
+    tab.keyboard.press("Tab")
+    expect(tab.locator("#title")).to_have_text("step, seed 5")
+    tab.get_by_role("button", name="Play").click()
+    # Policies are added and hidden by their names, and errors are said.
+    tab.locator("#name").fill("nobody")
+    tab.keyboard.press("Enter")
+    expect(tab.get_by_role("alert")).to_contain_text("nobody")
+    tab.locator("#name").fill("level")
+    tab.keyboard.press("Enter")
+    expect(tab.locator("#lane-2 .name")).to_have_text("level")
+    tab.get_by_label("level", exact=True).uncheck()
+    expect(tab.locator("#lane-2")).to_have_count(0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 800, 390])
+def test_nothing_is_cut_or_lies_over_something_else(tab: Any, width: int) -> None:
+    tab.set_viewport_size({"width": width, "height": 844})
+    tab.locator("#lane-1 canvas").first.wait_for()
+    assert browser.crowded(tab) == []
+    scene, side = (tab.locator(name).bounding_box() for name in ("#view", "#side"))
+    assert scene["width"] >= 0.6 * width  # and not behind the panel
+    beside = side["x"] >= scene["x"] + scene["width"]
+    assert beside if width > 900 else side["y"] >= scene["y"] + scene["height"]
+
+
+def test_messages_that_are_none_are_refused() -> None:
+    shown = page.WatchPage([entrant()])
+    for message in ("", "{}", '{"kind":"do","what":"dance"}', '{"kind":"set","name":"speed"}'):
+        with pytest.raises(ValueError, match="validation error"):
+            shown.received(0, message)
+    shown.received(0, '{"kind":"show","number":7,"on":true}')
+    assert not shown._wish.changed
+
+
+def test_colours_are_those_of_every_picture() -> None:
+    style = (Path(page.__file__).parent / "page.css").read_text("utf-8")
+    for name, colour in (("chassis", CHASSIS), ("front", FRONT), ("rear", REAR)):
+        assert f"--{name}: {colour};" in style
+
+
+def test_the_light_of_the_day_shows_the_colours_of_films() -> None:
+    around, sun = scene._LIGHTS[False]
+    shining = (around - sun * SUN[2] / math.hypot(*SUN)) / math.pi
+    for colour in ("#DDD6CA", CHASSIS, FRONT, REAR):
+        surface = "#{:02X}{:02X}{:02X}".format(*scene._surface(colour))
+        # The filmic curve of three.js
+        v = scene._BEFORE_CURVE @ (scene._linear(surface) * shining / 0.6)
+        v = (v * (v + 0.0245786) - 0.000090537) / (v * (0.983729 * v + 0.4329510) + 0.238081)
+        assert scene._AFTER_CURVE @ v == pytest.approx(scene._linear(colour), abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["mpc", "planner"])
@@ -195,8 +231,8 @@ def test_the_map_lies_where_the_ground_is() -> None:
     for _ in range(3):
         env.step(4)
     shown = MagicMock()
-    live = scene.LiveScene(shown, "/drive/0", 0.0)
-    live.begin(env.profile, env.robot, env.scene.finish, "")
+    live = scene.LiveScene(shown)
+    live.begin(env.profile, env.robot, env.scene.finish, 0.0)
     live.perceive(env.perception, env.state, env.map_points())
     clouds = {call.args[0]: call.args[1] for call in shown.add_point_cloud.call_args_list}
     x, y, z = clouds["/drive/0/perceived/map"].T
@@ -220,7 +256,8 @@ def test_a_search_tells_how_far_it_is_and_can_be_left() -> None:
     assert told[-1] == 1.0
     assert len(told) > 2
 
-    shown = page.WatchPage(MagicMock(), [planner])
+    shown = page.WatchPage([planner])
+    shown._gate, shown._stage = MagicMock(), MagicMock(**{"begin.return_value": 0.0})
     shown._set_lanes()
     shown._wish.episode = 3
     with pytest.raises(page._NextEpisodeError):  # not as a failure of the planner
@@ -231,9 +268,10 @@ def test_a_policy_that_cannot_drive_is_refused_and_the_page_goes_on() -> None:
     def broken(index: int) -> Episode:
         raise RequestError("no drives")
 
-    named, event = MagicMock(), MagicMock()
-    shown = page.WatchPage(MagicMock(), [entrant()], find=lambda name: Entrant(name, broken))
-    shown._add(named, event)
-    assert event.client.add_notification.call_args.args == ("No policy was added", "no drives")
+    shown = page.WatchPage([entrant()], find=lambda name: Entrant(name, broken))
+    shown._gate = MagicMock()
+    shown._add("broken")
+    remark = json.loads(shown._gate.post.call_args.args[0])
+    assert remark == {"kind": "remark", "text": "No policy was added: no drives"}
     assert not shown._wish.changed
     assert len(shown._entrants) == 1

@@ -19,7 +19,12 @@ from flipperctl.sim.mujoco.settings import MujocoSettings
 from flipperctl.sim.outline import BELT, CHASSIS, EARTH, FRONT, GROUND, REAR, belt_points, capsule
 
 _TREAD, _RISER, _CUT, _RULE = "#DDD6CA", "#9A8D7B", EARTH, "#B4AA9A"
+_STEPS = ("#A89C8A", "#B3A797", "#BDB3A4", "#C8BFB1", "#D2CABE", _TREAD)
+"""Colours of a surface from its lowest to its highest parts."""
 _DECK = "#3E8FC4"
+SKY = "#EDF2F7"
+SUN = (-0.25, 0.45, -1.0)
+"""Direction of the light: it shines on treads and not on the risers ahead."""
 GROUSER = 0.02, 0.012, "#5A5A5A"
 """Length and height [m] and colour of the bars on belts."""
 _STEEP = math.radians(50)  # least slope of ground that has the colour of risers [rad]
@@ -87,9 +92,16 @@ def grousers(track: Track, robot: RobotGeometry, travel: float) -> tuple[FloatAr
     return places, np.arctan2(ahead[:, 1], ahead[:, 0])
 
 
-def ground_meshes(strips: Sequence[Strip], low: float, high: float) -> list[Mesh]:
-    """Return the ground between two y [m]: treads, risers, cut sides, edges and a rule."""
-    base = min(float(strip.line[:, 1].min()) for strip in strips) - _DEEP
+def ground_meshes(
+    strips: Sequence[Strip], low: float, high: float, deep: float = _DEEP
+) -> list[Mesh]:
+    """Return the ground between two y [m]: treads, risers, cut sides, edges and a rule.
+
+    A surface is the lighter the higher it is, in steps. ``deep``: ground below the lowest point
+    [m].
+    """
+    base = min(float(strip.line[:, 1].min()) for strip in strips) - deep
+    lowest, highest = base + deep, max(float(strip.line[:, 1].max()) for strip in strips)
     by_colour: dict[str, list[FloatArray]] = {}
 
     def add(colour: str, *parts: FloatArray) -> None:
@@ -103,7 +115,9 @@ def ground_meshes(strips: Sequence[Strip], low: float, high: float) -> list[Mesh
         line = strip.line[np.concatenate([[True], np.diff(strip.line, axis=0).any(axis=1)])]
         slopes = np.arctan2(*np.diff(line, axis=0).T[::-1])  # (V - 1,) [rad]
         for (a, b), slope in zip(pairwise(line), slopes.tolist(), strict=True):
-            add(_RISER if abs(slope) > _STEEP else _TREAD, _top(a, b, right, left))
+            height = (float(a[1] + b[1]) / 2 - lowest) / (highest - lowest or 1.0)
+            tread = _STEPS[int(height * (len(_STEPS) - 1) + 0.5)] if len(strips) > 1 else _TREAD
+            add(_RISER if abs(slope) > _STEEP else tread, _top(a, b, right, left))
             if b[0] > a[0]:
                 below = np.array([[a[0], base], a, b, [b[0], base]])
                 add(_CUT, _prism(below, right, left, sides=False))

@@ -21,6 +21,8 @@ from flipperctl.api import CameraImage, FloatArray, Robot, View
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.sim.mujoco.appearance import (
     GROUSER,
+    SKY,
+    SUN,
     Mesh,
     ground_meshes,
     grousers,
@@ -51,7 +53,7 @@ _DISTANCE, _AZIMUTH, _ELEVATION = 4.2, 72.0, -14.0  # of the camera from the rob
 _ANGLE = 26.0  # vertical angle of view of the camera outside [°]
 _BESIDE = 0.35
 """Ground to the right of the tracks that pictures from outside show; it is cut there [m]."""
-_WHITE, _SKY = (1.0, 1.0, 1.0), (0.93, 0.95, 0.97)
+_WHITE = (1.0, 1.0, 1.0)
 
 
 class Shown:
@@ -138,10 +140,9 @@ def set_looks(spec: Any) -> None:
     spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 2048, 4
     light = spec.visual.headlight
     light.ambient, light.diffuse, light.specular = (np.multiply(k, _WHITE) for k in (0.55, 0.15, 0))
-    # Shines on treads and not on the risers ahead
     spec.body("chassis").add_light(
         pos=[0.0, 0.0, 3.0],
-        dir=[-0.25, 0.45, -1.0],
+        dir=SUN,
         diffuse=np.multiply(0.45, _WHITE),
         specular=np.multiply(0.1, _WHITE),
         mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
@@ -152,8 +153,8 @@ def set_looks(spec: Any) -> None:
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=_SKY,
-        rgb2=_SKY,
+        rgb1=rgba(SKY)[:3],
+        rgb2=rgba(SKY)[:3],
         width=64,
         height=384,
     )
