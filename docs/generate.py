@@ -1,7 +1,8 @@
 """The text of the reference pages, generated from the code when the pages are built.
 
 In: the configuration's classes, the plugin registry, the command line and the public modules. Out:
-Markdown. ``fill`` replaces a line ``<!-- generate: NAME -->`` of a page by the text ``NAME``.
+Markdown. ``fill`` replaces a line ``<!-- generate: NAME -->`` of a page by the text ``NAME``, and
+``<!-- generate: settings: HEADING -->`` by the settings below one heading.
 """
 
 from __future__ import annotations
@@ -46,16 +47,19 @@ HEADINGS: Mapping[str, str] = {
 MODULES = ("flipperctl", "flipperctl.api", "flipperctl.runtime", "flipperctl.testing")
 """Public modules; each lists its names in ``__all__``."""
 
-_MARK = re.compile(r"^<!-- generate: (\w+) -->$", re.MULTILINE)
+_MARK = re.compile(r"^<!-- generate: (\w+)(?:: (.+))? -->$", re.MULTILINE)
 
 
 def fill(text: str) -> str:
     """Replace each line that asks for a text by that text."""
-    return _MARK.sub(lambda found: TEXTS[found[1]](), text)
+    return _MARK.sub(lambda mark: TEXTS[mark[1]](*filter(None, [mark[2]])), text)
 
 
-def settings() -> str:
-    """Return a table of every setting of each section and of each plugin's class."""
+def settings(part: str = "") -> str:
+    """Return a table of every setting of each section and of each plugin's class.
+
+    With the heading of a part, return what is below it, with its own headings one level higher.
+    """
     plugins.load()
     lines = ["## Top level", *_table("", _top_level())]
     for name, cls in SECTIONS.items():
@@ -71,7 +75,11 @@ def settings() -> str:
             cls = registry[kind, name]
             lines += ["", f"### `{path.partition('.')[0]}`: `{name}`", "", _summary(cls), ""]
             lines += _table(path, fields(cls))
-    return "\n".join(lines)
+    text = "\n".join(lines)
+    if part:
+        parts = re.split(r"^## (.+)\n", text, flags=re.MULTILINE)
+        text = dict(zip(parts[1::2], parts[2::2], strict=True))[part].replace("### ", "## ")
+    return text
 
 
 def commands() -> str:
@@ -152,7 +160,7 @@ def glossary() -> str:
     return "\n".join(_rows(("word", "meaning"), GLOSSARY.items()))
 
 
-TEXTS: Mapping[str, Callable[[], str]] = {
+TEXTS: Mapping[str, Callable[..., str]] = {
     "glossary": glossary,
     "settings": settings,
     "commands": commands,
@@ -182,16 +190,16 @@ def _table(path: str, found: Iterable[Field]) -> list[str]:
     rows = [
         (
             f"`{path}.{f.name}`" if path else f"`{f.name}`",
-            _value(f.default),
-            f.bounds,
-            f.unit,
             f.description,
+            _value(f.default),
+            # A bound of the machine's integers says nothing, and a number may have no unit.
+            f"{re.sub(', ≤ 9.22.*', '', f.bounds)} {f.unit.strip('-')}".strip(),
         )
         for f in found
     ]
     if not rows:
         return ["It has no settings."]
-    return ["", *_rows(("setting", "default", "bounds", "unit", "meaning"), rows)]
+    return ["", *_rows(("setting", "meaning", "default", "allowed"), rows)]
 
 
 def _value(value: object) -> str:
