@@ -2,7 +2,8 @@
 
 In: the configuration's classes, the plugin registry, the command line and the public modules. Out:
 Markdown. ``fill`` replaces a line ``<!-- generate: NAME -->`` of a page by the text ``NAME``, and
-``<!-- generate: settings: HEADING -->`` by the settings below one heading.
+``<!-- generate: settings: HEADING -->`` by the settings below one heading. ``plugins: KIND`` is a
+table of plugins.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import typer.main
 from gymnasium.spaces import Box
 from sphinx.pycode import ModuleAnalyzer
 
-from flipperctl.api import ACTIONS, Measure, ObservationLayout, Settings, registry
+from flipperctl.api import ACTIONS, ObservationLayout, Settings, registry
 from flipperctl.cli.catalogue import PLUGIN_KEYS, SECTIONS
 from flipperctl.cli.glossary import GLOSSARY
 from flipperctl.cli.main import app
@@ -141,12 +142,13 @@ def observation() -> str:
     return "\n".join(_rows(("index", "name", "meaning", "unit", "frame", "min", "max"), rows))
 
 
-def measures() -> str:
-    """Return a table of the measures of an episode."""
+def summaries(kind: str) -> str:
+    """Return a table of the plugins of a kind, each with what it does."""
     plugins.load()
-    found = sorted((name, cls) for (kind, name), cls in registry.items() if kind == Measure.kind)
-    rows = [(f"`{name}`", _summary(cls)) for name, cls in found]
-    return "\n".join(_rows(("measure", "meaning"), rows))
+    classes = sorted((name, cls) for (of, name), cls in registry.items() if of == kind)
+    return "\n".join(
+        _rows((kind, "meaning"), ((f"`{name}`", _summary(cls)) for name, cls in classes))
+    )
 
 
 def _rows(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
@@ -168,7 +170,7 @@ TEXTS: Mapping[str, Callable[..., str]] = {
     "presets": presets,
     "actions": actions,
     "observation": observation,
-    "measures": measures,
+    "plugins": summaries,
 }
 """Texts that pages can ask for."""
 
