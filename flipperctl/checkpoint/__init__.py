@@ -38,6 +38,8 @@ PLUGINS = Path("plugins")
 TRUST = "FLIPPERCTL_TRUST"
 """Environment variable: folders below which runs load their copies of plugin files unasked."""
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
+KEPT = "checkpoints/at_{}.safetensors"
+"""The policy of a validation after so many decisions, of a run with ``train.keep_policies``."""
 
 _REPLACED = frozenset(("terrain", "reward", "controller", "logger", "agent"))
 """Kinds of plugins without which a policy can drive."""

@@ -22,6 +22,10 @@ def train(
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the run, or of the runs with -m.")
     ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A film of the policy at each validation: .gif, .mp4."),
+    ] = None,
     config_dir: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder with files of configuration.")
     ] = None,
@@ -39,16 +43,20 @@ def train(
 
       flipperctl train -m terrain=step,stair seed=1,2 --output runs/compared
 
+      flipperctl train terrain=uplift --film progress.gif
+
       flipperctl train --resume runs/stair/2026-01-31_12-00-00
     """
     from flipperctl.evaluation.plan import refuse_beside
 
     arguments = list(overrides or [])
     if resume is not None:
-        others = {"multirun": multirun, "output": output, "config-dir": config_dir}
+        others = {"multirun": multirun, "output": output, "film": film, "config-dir": config_dir}
         refuse_beside("--resume", others)
         _resume(resume, arguments)
         return
+    if film is not None:
+        refuse_beside("--film", {"multirun": multirun})
     if output is not None:
         from flipperctl.config.words import key_of, literal_override
 
@@ -60,7 +68,7 @@ def train(
         arguments.append(literal_override(key, str(output)))
     from flipperctl.cli.hydra.application import train
 
-    train(arguments, multirun=multirun, config_dir=config_dir)
+    train(arguments, multirun=multirun, config_dir=config_dir, film=film)
 
 
 def _resume(run: Path, words: list[str]) -> None:

@@ -151,6 +151,11 @@ class Train(Settings):
         False,
         description="write all training episodes to episodes.safetensors in the run directory [-]",
     )
+    keep_policies: bool = Field(
+        False,
+        description="keep the policy of each validation, as checkpoints/at_<decision>.safetensors, "
+        "not only the best one [-]",
+    )
     threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
 
 

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flipperctl.checkpoint import KEPT
+from flipperctl.config import TrainConfig
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.names import names
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import Progress
+from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import EvaluationSeeds
 
 if TYPE_CHECKING:
@@ -24,6 +27,8 @@ FAILURES = 3
 """Largest number of failed episodes that a film shows [-]."""
 _MOST = 6
 """Largest number of policies in a film [-]."""
+_CLIPS = 30
+"""Largest number of clips in the film of a training [-]."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +103,35 @@ class Filming:
             speed = SPEED if self.speed is None else self.speed
             film(self.path, takes, speed=speed, report_progress=report)
         tell(f"wrote {self.path}")
+
+
+def check_training_film(path: Path, config: TrainConfig) -> None:
+    """Check, before a training, that ``film_training`` can write its film to ``path``."""
+    from flipperctl.figures.animation import check_film
+
+    check_film(path)
+    if (shown := -(-config.train.decisions // config.train.validate_every)) > _CLIPS:
+        raise RequestError(
+            f"--film shows at most {_CLIPS} validations, and the training has {shown}; set a "
+            "larger train.validate_every"
+        )
+
+
+def film_training(run: Path, config: TrainConfig, path: Path, tell: Callable[[str], None]) -> None:
+    """Write a film of the policy at each validation of a run with ``train.keep_policies``.
+
+    All drive the same episode, that of seed 0 of an evaluation, one after the other.
+    """
+    from flipperctl.figures.film import Part, Take, film
+
+    seed, takes = EvaluationSeeds.of(0, config.terrain)(0), []
+    kept = sorted((int(file.stem.split("_")[1]), file) for file in run.glob(KEPT.format("*")))
+    for decision, file in kept:
+        title = f"after {decision} decisions"
+        takes += [Take(title, [Part(title, config.environment(), load_policy(file), seed)])]
+    tell(f"filming the policies of {len(takes)} validations on one episode …")
+    film(path, takes)
+    tell(f"wrote {path}")
 
 
 def _take(entries: Sequence[Entry], index: int) -> Take:

@@ -317,23 +317,27 @@ class Trainer:
         checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
 
     def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
-        """Write the last checkpoint, and ``best.safetensors`` if the policy is the best so far.
+        """Write the last checkpoint, and the policy if it is the best so far or is to be kept.
 
         In this order, so that a killed run never leaves a best policy from after its last
         checkpoint; a resumed run writes a best policy that was not written before.
         """
         self.save(outstanding)
         # Only the policy that was validated just now can have become the best.
-        best, learning = self.validator.best, self.learning
-        if best is None or best.decision != self.progress.decision:
+        last, best, learning = self.validator.last, self.validator.best, self.learning
+        if last is None or last.decision != self.progress.decision:
             return
-        document = checkpoint.describe(
-            self.config, "best", decision=best.decision, validation=best.model_dump()
-        )
+        kept = Path(checkpoint.KEPT.format(last.decision))
+        places = [kept] if self.config.train.keep_policies else []
+        places += [checkpoint.BEST] if last is best else []
         parts = {"policy": learning.policy.state_dict()}
         if learning.risk is not None:
             parts["risk"] = learning.risk.state_dict()
-        checkpoint.write(self.directory / checkpoint.BEST, document, checkpoint.join(parts))
+        document = checkpoint.describe(
+            self.config, "best", decision=last.decision, validation=last.model_dump()
+        )
+        for place in places:
+            checkpoint.write(self.directory / place, document, checkpoint.join(parts))
 
     def restore(self, saved: Checkpoint) -> None:
         """Restore the run from its last checkpoint."""

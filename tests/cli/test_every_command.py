@@ -71,6 +71,7 @@ EVAL = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1")
         ((*EVAL, "--film"), ".gif"),
         ((*EVAL, "--record"), ".safetensors"),
         (("replay", "failure.json", "--film"), ".gif"),
+        (("train", "terrain=flat", "--film"), ".gif"),
         (("export", "onnx", "generalist", "--output"), ".onnx"),
         (("export", "mjcf", "terrain=flat", "--output"), ".xml"),
         (("export", "urdf", "terrain=flat", "--output"), ".urdf"),

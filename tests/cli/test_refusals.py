@@ -21,6 +21,9 @@ eval level terrain=step,stair --film f.gif -> --film shows one scene; 2
 eval level terrain=step --episode 3 -> --episode is of a film
 eval level terrain=step --film f.gif --speed 0.3 -> multiples of 0.25
 eval level terrain=step --film f.gif --episodes 2 --episode 5 -> 0 to 1 is evaluated
+train terrain=step,stair -m --film f.gif -> multirun: no meaning beside --film
+train terrain=step --film f.txt -> f.txt
+train terrain=step --film f.gif train.validate_every=10 -> --film shows at most 30 validations
 eval okada sim=planar,planar -> another engine is compared with planar
 eval okada conditions=trained -> no checkpoint is evaluated; known: nominal
 train conditions=null -> conditions=null: a name is allowed

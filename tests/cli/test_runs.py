@@ -244,3 +244,19 @@ def test_what_fails_after_a_decision_keeps_the_run(
     done = call(*RUN, cwd=tmp_path)
     assert done.code == 2, done.err
     assert (tmp_path / "run" / checkpoint.LAST).is_file()
+
+
+def test_a_film_shows_the_policy_of_each_validation(tmp_path: Path) -> None:
+    from PIL import Image
+
+    done = call("train", *QUICK, "hydra.run.dir=run", "--film", "progress.gif", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "wrote progress.gif" in done.err
+    # Each validated policy is kept, and the best one among them is the run's.
+    kept = [f.name for f in sorted((tmp_path / "run" / "checkpoints").glob("at_*"))]
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    best = tmp_path / "run" / checkpoint.KEPT.format(summary["best"]["decision"])
+    assert best.read_bytes() == (tmp_path / "run" / checkpoint.BEST).read_bytes()
+    assert len(kept) >= 3
+    with Image.open(tmp_path / "progress.gif") as film:
+        assert film.n_frames > len(kept) * 5

@@ -51,10 +51,12 @@ def train(
     *,
     multirun: bool = False,
     config_dir: Path | None = None,
+    film: Path | None = None,
 ) -> None:
     """Run Hydra with the overrides and its own options.
 
-    The composed configurations are checked before Hydra creates a directory.
+    The composed configurations are checked before Hydra creates a directory. ``film``: file for a
+    film of a single run's policy at each of its validations.
 
     Raises:
         RequestError: a word is wrong, or the terrain, device or network cannot be used.
@@ -63,7 +65,7 @@ def train(
     register_defaults()
     register_sweepers()
     # Hydra gets words that are known to be good; files of the user's are checked by each job.
-    requests = from_words(overrides)
+    requests = from_words([*overrides, *([] if film is None else ["train.keep_policies=true"])])
     several = _several(requests, multirun=multirun)
     checked = config_dir is None
     requests.check_training(several=several or not checked)
@@ -75,7 +77,9 @@ def train(
 
     # The error of a single run is kept from Hydra.
     errors: list[BaseException] = []
-    job = _Job(_CommandProcess.current(), checked, None if several else next(iter(configs), None))
+    job = _Job(
+        _CommandProcess.current(), checked, None if several else next(iter(configs), None), film
+    )
 
     def task(composed: Any) -> float | None:
         try:
@@ -187,9 +191,11 @@ class _Job:
     """Whether the command has checked the configuration and printed its notices."""
     config: TrainConfig | None
     """The checked configuration of a single run, so that nothing is merged twice."""
+    film: Path | None
 
     def run(self, composed: Any) -> float | None:
         """Train with the composed configuration; return the objective of a search."""
+        from flipperctl.requests.filming import check_training_film, film_training
         from flipperctl.terminal.training import print_best, reports
         from flipperctl.training.search import objective
 
@@ -218,9 +224,13 @@ class _Job:
         else:
             hydra: Any = HydraConfig.instance().cfg
             numbered = named_by_time(hydra, "run")
+            if self.film is not None:
+                check_training_film(self.film, config)
             run = training_run.start(
                 config, directory, reports(), keep_more=keep, numbered=numbered
             )
+            if self.film is not None:
+                film_training(run.directory, config, self.film, print_note)
         print_best(run)
         train = config.train
         return objective(run.summary["best"], train.validation_episodes, train.best_by)
