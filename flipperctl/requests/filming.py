@@ -127,8 +127,9 @@ def film_training(run: Path, config: TrainConfig, path: Path, tell: Callable[[st
     seed, takes = EvaluationSeeds.of(0, config.terrain)(0), []
     kept = sorted((int(file.stem.split("_")[1]), file) for file in run.glob(KEPT.format("*")))
     for decision, file in kept:
-        title = f"after {decision} decisions"
-        takes += [Take(title, [Part(title, config.environment(), load_policy(file), seed)])]
+        name = f"after {decision:,} decisions"
+        part = Part(name, config.environment(), load_policy(file), seed)
+        takes.append(Take(f"{config.terrain.plugin_name}, episode 0", [part]))
     tell(f"filming the policies of {len(takes)} validations on one episode …")
     film(path, takes)
     tell(f"wrote {path}")
