@@ -351,6 +351,18 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
             bar = _bar(row, column, group) if kind == "number" else ""
             inner.append(f'<td class="{kind}">{dot}{escape(name + text)}{bar}</td>')
         body.append(f'<tr class="{"part" * bool(row.get("dim"))}"{style}>{"".join(inner)}</tr>')
+        # The axis of the bars stands below the last row of its group.
+        scales = [
+            _scale(column, group) if k == "number" else None
+            for column, k in zip(shown, kinds, strict=True)
+        ]
+        if row is group[-1] and any(scales):
+            ends = [
+                f"<span>{end[0]:.3g}</span><span>{end[1]:.3g}</span>" if end else ""
+                for end in scales
+            ]
+            axes = "".join(f"<td>{text and f'<div class=ends>{text}</div>'}</td>" for text in ends)
+            body.append(f'<tr class="axis" aria-hidden="true">{axes}</tr>')
 
     # Title above, notes below
     title = f'<p class="note">{escape(table.title)}</p>' if table.title else ""
@@ -365,17 +377,22 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
     )
 
 
-def _bar(row: Mapping[str, Any], column: Column, group: Sequence[Mapping[str, Any]]) -> str:
-    """Return the bar of an interval; an empty one where another row of the group has one."""
-    # All bars of a group have one scale, which includes 0.
+def _scale(column: Column, group: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
+    """Return the ends of the axis of a group's bars, which includes 0; None without bars."""
     intervals = [cell for other in group if isinstance(cell := other.get(column.key), Mapping)]
     ends = [
         0.0,
         *(cell[k] for cell in intervals for k in ("mean", "low", "high") if cell[k] is not None),
     ]
-    low, high, value = min(ends), max(ends), row.get(column.key)
-    if not intervals or low == high:
+    return (min(ends), max(ends)) if intervals and min(ends) < max(ends) else None
+
+
+def _bar(row: Mapping[str, Any], column: Column, group: Sequence[Mapping[str, Any]]) -> str:
+    """Return the bar of an interval; an empty one where another row of the group has one."""
+    scale, value = _scale(column, group), row.get(column.key)
+    if scale is None:
         return ""
+    low, high = scale
     parts = []
     if isinstance(value, Mapping):
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,15 +22,42 @@ RULER = "level"
 VARIATION = "pitch_variation_100hz"
 RULE = (
     "Smaller is better. The best policy of a scene has the highest success, and then the smallest "
-    "pitch variation; where intervals overlap, that may be chance. Brackets are 95 % intervals."
+    "pitch variation, clearly so: by the difference on the same episodes, or by intervals that do "
+    "not overlap. Brackets are 95 % intervals."
 )
 """How the sentences are meant."""
 
 
-def findings(evaluated: Document) -> Iterator[tuple[str, str]]:
-    """Yield sentences, each after ``good``, ``bad``, or an empty text for neither."""
+Gaps = Mapping[tuple[str, str], Mapping[str, Any] | None]
+"""Difference to the ruler on the same episodes with its interval, by scene and policy."""
+
+
+def findings(evaluated: Document, gaps: Gaps = MappingProxyType({})) -> Iterator[tuple[str, str]]:
+    """Yield sentences, each after ``good``, ``bad``, or an empty text for neither.
+
+    ``gaps``: those of policies that the document does not compare itself.
+    """
     rows = table_rows(evaluated)
-    yield from (*_best(rows), *_losses(evaluated, rows), *_failed(rows))
+    stored = {
+        (difference["scene"], difference["policy"]): difference["variation"]
+        for difference in evaluation.difference_rows(evaluated)
+        if difference["against"] == RULER
+    }
+    known = {**gaps, **stored}
+    further = {at: gap for at, gap in gaps.items() if at not in stored}
+    yield from (*_best(rows, known), *_compared(further), *_losses(rows, known), *_failed(rows))
+
+
+def _compared(gaps: Gaps) -> Iterator[tuple[str, str]]:
+    """Yield the differences of each policy to the ruler."""
+    texts: dict[str, list[str]] = {}
+    for (scene, policy), gap in gaps.items():
+        if gap is not None and gap["low"] is not None:
+            ends = f"[{gap['low']:+.2f}, {gap['high']:+.2f}]"
+            texts.setdefault(policy, []).append(f"{gap['mean']:+.2f} {ends} rad on {scene}")
+    for policy, parts in texts.items():
+        words = "; ".join(parts).replace("-", "−")
+        yield "", f"**{policy}** against **{RULER}**, same episodes, failures counted: {words}."
 
 
 def table_rows(evaluated: Document) -> list[Row]:
@@ -51,32 +79,68 @@ def by_scene(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
     return rows_of
 
 
-def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
-    """Yield who is best, by how much: on each of a few scenes, or counted."""
+def _best(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
+    """Yield who is best, by how much: on each of a few scenes, or counted.
+
+    Only who is clearly better than all others is called the best.
+    """
     scenes = {
         name: scene_rows for name, scene_rows in by_scene(rows).items() if len(scene_rows) > 1
     }
     best = {name: max(scene_rows.values(), key=rank) for name, scene_rows in scenes.items()}
+    equals = {
+        name: [
+            other["policy"]
+            for other in scenes[name].values()
+            if other is not row and not _is_better(row, other, name, gaps)
+        ]
+        for name, row in best.items()
+    }
     # A few scenes are named, many are counted.
     if 0 < len(scenes) < 4:
         for name, row in best.items():
-            yield "good", f"On {name}, {_words(row)} is best{_against(row, scenes[name])}."
+            if equals[name]:
+                others = ", ".join(f"**{policy}**" for policy in equals[name])
+                yield "", f"On {name}, {_words(row)} is not clearly better than {others}."
+            else:
+                yield "good", f"On {name}, {_words(row)} is best{_against(row, scenes[name])}."
     elif scenes:
         wins: dict[str, list[str]] = {}
         for name, row in best.items():
-            wins.setdefault(row["policy"], []).append(name)
+            wins.setdefault("" if equals[name] else row["policy"], []).append(name)
+        unclear = len(wins.pop("", ()))
+        if unclear:
+            yield "", f"On {unclear} of {len(scenes)} scenes no policy is clearly the best."
+        if not wins:
+            return
         ordered = sorted(wins.items(), key=lambda item: -len(item[1]))
         texts = [
             f"**{policy}** on {len(names)}" + (f" ({', '.join(names)})" if at else "")
             for at, (policy, names) in enumerate(ordered)
         ]
-        yield "good", f"Best of {len(scenes)} scenes: {'; '.join(texts)}."
+        yield "good", f"Clearly the best: {'; '.join(texts)}, of {len(scenes)} scenes."
         if (ratio := _ratio(scenes, ordered[0][0])) is not None:
             yield "good", ratio
     for name, scene_rows in by_scene(rows).items():
         if len(scene_rows) == 1:
             (row,) = scene_rows.values()
             yield "", f"On {name}, {_words(row)}."
+
+
+def _is_better(row: Row, other: Row, scene: str, gaps: Gaps) -> bool:
+    """Return whether a policy is clearly better, by the test on the same episodes if there is one.
+
+    Without it, intervals must not overlap.
+    """
+    first, second = row["policy"], other["policy"]
+    if _is_above(row["success"], other["success"]["high"]):
+        return True
+    gap = gaps.get((scene, first if second == RULER else second))
+    if gap is not None and RULER in (first, second):
+        high = gap["high"]
+        return _is_above(gap, 0.0) if first == RULER else high is not None and high < 0
+    mine, theirs = row[VARIATION], other[VARIATION]
+    return bool(mine and theirs) and _is_above(theirs, mine["high"])
 
 
 def _words(row: Row) -> str:
@@ -127,16 +191,11 @@ def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
     )
 
 
-def _losses(document: Document, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+def _losses(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
     """Yield where policies are clearly worse than the ruler.
 
     By the difference on the same episodes where the results have it, else by the intervals.
     """
-    gaps = {
-        (difference["scene"], difference["policy"]): difference["variation"]
-        for difference in evaluation.difference_rows(document)
-        if difference["against"] == RULER
-    }
     # Paired differences decide, and intervals where the results have none.
     worse, compared = [], False
     for scene, scene_rows in by_scene(rows).items():

@@ -34,6 +34,7 @@ from flipperctl.views.findings import (
     RULE,
     RULER,
     VARIATION,
+    Gaps,
     by_scene,
     findings,
     rank,
@@ -92,7 +93,7 @@ def _page(folder: Path, document: Document, recorded: Sequence[Trace]) -> str:
         facts=escape(" · ".join(_facts(document))),
         style=_text("report.css"),
         script=_text("report.js"),
-        summary=_summary(document),
+        summary=_summary(document, _gaps(folder, policies)),
         results="\n".join([heat, *(html(part, marks) for part in (table, *others))]),
         figures=_figures(folder, document, policies),
         published=_section("The paper's numbers", html(papers, marks)) if papers else "",
@@ -140,9 +141,34 @@ def _facts(document: Document) -> Iterator[str]:
         yield f"{texts} {noun}" if noun[0] == "e" else f"{noun} {texts}"
 
 
-def _summary(document: Document) -> str:
+def _gaps(folder: Path, policies: Sequence[str]) -> Gaps:
+    """Return the differences of all policies to the ruler; none where these cannot be compared."""
+    from flipperctl.views import compare
+    from flipperctl.views.plot import Request, differences
+
+    if RULER not in policies or len(policies) < 2:
+        return {}
+    request = Request([str(folder)])
+    try:
+        comparison = compare.compare(request.folders, measure=request.one_metric())
+        called = request.called([method.name for method in comparison.stored.methods])
+        rows = list(differences(comparison, called, VARIATION, RULER))
+    except (RequestError, ValueError):  # as of scenes or settings that not all policies share
+        return {}
+    # Rows of the table name the number of training seeds.
+    names = {re.sub(r" \(\d+ seeds\)$", "", policy): policy for policy in policies}
+    scenes = request.scenes()
+    return {
+        (scenes.get(row["scene"], row["scene"]), names.get(row["method"], row["method"])): row[
+            VARIATION
+        ]
+        for row in rows
+    }
+
+
+def _summary(document: Document, gaps: Gaps) -> str:
     lines = []
-    for kind, text in findings(document):
+    for kind, text in findings(document, gaps):
         marked = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(text))
         lines.append(f'<li class="{kind}">{marked}</li>')
     return (
@@ -214,20 +240,24 @@ def _figures(folder: Path, document: Document, policies: Sequence[str]) -> str:
     """Return the figures of several policies; nothing where these have no intervals to compare."""
     if len(policies) < 2 or min(scene["episodes"] for scene in document["scenes"]) < FEWEST:
         return ""
-    from flipperctl.figures.figure import WIDTH, render
+    from flipperctl.figures.figure import COLUMN, WIDTH, render
     from flipperctl.views.plot import KINDS, Request
 
     # Differences are taken to the usual rule, or else to the last policy.
     ruler = RULER if RULER in policies else policies[-1]
-    request = Request([str(folder)], against=ruler, width=WIDTH)
     parts = []
     for kind, caption in _DRAWN.items():
-        try:
-            figure, _ = KINDS[kind](request)
-        except RequestError:  # as of scenes or settings that not all policies share
+        about, drawn = caption.format(ruler=ruler), ""
+        # One for screens, and one for phones
+        for width, shown in ((WIDTH, "broad"), (COLUMN, "narrow")):
+            try:
+                figure, _ = KINDS[kind](Request([str(folder)], against=ruler, width=width))
+            except RequestError:  # as of scenes or settings that not all policies share
+                continue
+            svg = _inline(render(figure, ".svg").decode(), about.partition(".")[0])
+            drawn += svg.replace('class="wide"', f'class="{shown}"', 1)
+        if not drawn:
             continue
-        about = caption.format(ruler=ruler)
-        drawn = _inline(render(figure, ".svg").decode(), about.partition(".")[0])
         parts.append(
             f'<figure>{drawn}<figcaption class="note">{escape(about)}</figcaption></figure>'
         )

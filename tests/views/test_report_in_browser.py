@@ -68,6 +68,13 @@ def opened(browser: Any, page_file: Path) -> Iterator[Callable[..., Any]]:
     assert complaints == []
 
 
+@pytest.mark.parametrize("width", [1280, 800, 390])
+def test_nothing_is_cut_or_lies_over_something_else(opened: Callable[..., Any], width: int) -> None:
+    page = opened(width)
+    assert page.locator("figure svg:visible").count() == 2
+    assert chromium.crowded(page) == []
+
+
 def clock(page: Any) -> str:
     return str(page.locator("#clock").inner_text())
 
@@ -84,7 +91,7 @@ def test_it_shows_the_words_the_table_and_the_failure(opened: Callable[..., Any]
     assert "1 of 10 episodes failed: mine 1 (1 overturned)." in page.locator(".lead").inner_text()
     cells = page.locator("table").first.locator("tbody td").all_inner_texts()
     assert [text.strip() for text in cells[:3]] == ["mine", "80 % [37.6, 96.4]", "1 overturned"]
-    assert page.locator("figure svg").count() == 2
+    assert page.locator("figure svg:visible").count() == 2
     assert page.locator(".failures li").count() == 1
     shown = page.locator(".poster .chassis").first.bounding_box()
     assert shown["width"] > 20  # the robot stands in its picture
