@@ -97,15 +97,19 @@ class Request:
         """Return the index of each method's look by what it is called, left out or not."""
         from flipperctl.figures.figure import places
 
-        rules = sorted(name for kind, name in registry if kind == Controller.kind)
         called = renamed(labels, self.names)
-        return {called[label]: place for label, place in places(labels, rules).items()}
+        return {called[label]: place for label, place in places(labels, rules()).items()}
 
     def one_metric(self) -> str:
         """Return the metric of a kind that shows one."""
         if len(self.metrics) > 1:
             raise RequestError(f"--metric {','.join(self.metrics)}: this kind shows one metric")
         return self.metrics[0] if self.metrics else VARIATION
+
+
+def rules() -> list[str]:
+    """Return the names of the known rules, ascending."""
+    return sorted(name for kind, name in registry if kind == Controller.kind)
 
 
 def estimates(

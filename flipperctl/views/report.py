@@ -106,8 +106,13 @@ def _page(folder: Path, document: Document, recorded: Sequence[Trace]) -> str:
 
 def _marks(names: Sequence[str]) -> dict[str, str]:
     """Return the colour of each policy; the seeds of a method have the method's."""
+    from flipperctl.figures.figure import places
+    from flipperctl.views.plot import rules
+
     methods = {name: re.sub(r" \(\d+ seeds\)$|, seed \d+$", "", name) for name in names}
-    colours = {name: f"p{at % _COLOURS}" for at, name in enumerate(dict.fromkeys(methods.values()))}
+    # As in figures, rules have colours of their own.
+    at = places(list(dict.fromkeys(methods.values())), rules())
+    colours = {name: f"p{place % _COLOURS}" for name, place in at.items()}
     return {name: colours[method] for name, method in methods.items()} | colours
 
 
