@@ -71,7 +71,7 @@ class DrivePage:
         self._answers: tuple[int, ...] | None = None
         self._about: dict[str, Any] = {}
         self._state: dict[str, Any] = {}
-        self._dark: bool | None = None
+        self._theme: Theme | None = None
         self.hands: Hands | None = None
         """Hands of the running episode."""
         self.gate = Gate(port, page=page_file("drive.html"), control=self, what="driving")
@@ -108,7 +108,7 @@ class DrivePage:
         with self._lock:
             # Any browser may take over; all other messages count from the driver alone.
             if isinstance(parsed, Theme):
-                self._dark = parsed.dark
+                self._theme = parsed
             elif not isinstance(parsed, Asked | Answers) and parsed.what == "take":
                 if client != self._driver:
                     self._leave(client)
@@ -137,9 +137,10 @@ class DrivePage:
         with self._lock:
             self._state = {"kind": "state", **state}
             clients = list(self._clients)
-            dark, self._dark = self._dark, None
-        if dark is not None:
-            self.stage.set_dark(dark)
+            theme, self._theme = self._theme, None
+        if theme is not None:
+            self.stage.set_dark(theme.dark)
+            self.stage.set_shadows(not theme.software)
         self._send(self._state, clients)
 
     def _send(self, state: dict[str, Any], clients: Collection[int]) -> None:

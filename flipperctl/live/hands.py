@@ -49,10 +49,12 @@ class Do(_Message):
 
 
 class Theme(_Message):
-    """Whether the page is dark."""
+    """How the scene is to be drawn."""
 
     kind: Literal["theme"]
     dark: bool
+    software: bool
+    """Whether the browser has no graphics card, to which shadows are slow."""
 
 
 class Answers(_Message):

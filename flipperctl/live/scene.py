@@ -104,6 +104,10 @@ class Stage:
         for light, intensity in zip(self._lights, _LIGHTS[dark], strict=True):
             light.intensity = intensity
 
+    def set_shadows(self, shown: bool) -> None:
+        """Show or hide shadows, which take a browser without a graphics card twice as long."""
+        self._lights[1].cast_shadow = shown
+
     def look_at_lanes(self, count: int) -> None:
         """Turn the cameras of all browsers to ``count`` lanes."""
         middle = np.array([_AHEAD, (count - 1) / 2 * (WIDTH + _BETWEEN), _ABOVE])
