@@ -80,7 +80,7 @@ class Answer:
 
 
 _UNTRIED = Fault("start", "no decision was tried yet", gap=True)
-_FOLLOWS = "stall", "motion_slow"
+_FOLLOWS = "stall", "motion_slow", "motion_away"
 """Faults of a motion whose measured angles are right."""
 _ON_TIME = 1e-6
 """Part of a step by which a decision may be early, for times that are sums of periods [s]."""
@@ -288,20 +288,24 @@ class FlipperController:
 
     def _compare(self, now: float, joints: Joints) -> None:
         """Compare the new angles with the commands; after a fault, hold the flippers there."""
-        if self._held:
+        if self._held and self._stall is None:
             return
         # Each pair is judged by its own motion; after a fault of one, both are held.
-        targets = self._targets or (None, None)
-        pairs = zip(self._motions.values(), targets, self._intake.sides, strict=False)
-        faults = [motion.compare(now, target, angles) for motion, target, angles in pairs]
+        motions, sides = self._motions.values(), self._intake.sides
+        if self._held:
+            driven, pairs = self._states.driven, zip(motions, sides, strict=False)
+            faults = [motion.hold(now, angles, driven=driven) for motion, angles in pairs]
+        else:
+            targets = zip(motions, self._targets or (None, None), sides, strict=False)
+            faults = [motion.compare(now, target, angles) for motion, target, angles in targets]
         fault = next((fault for fault in faults if fault is not None), None)
         if fault is not None:
             self._stall = fault, now + self._limits.stall_hold
-            if self._targets is not None:
+            if self._targets is not None and not self._held:
                 self._hold(joints, faults)
 
     def _stall_fault(self, now: float) -> Fault | None:
-        if self._stall is not None and now >= self._stall[1]:
+        if self._stall is not None and now >= self._stall[1] - _ON_TIME:
             self._stall = None
         return None if self._stall is None else self._stall[0]
 
@@ -413,7 +417,7 @@ class FlipperController:
         answer = Answer(
             self._theirs(self._shown),
             self._theirs(self._setpoints),
-            state in DRIVES,
+            state in DRIVES and self._stall is None,
             "stopped" if state == "latched" else state,
             name,
             reason,

@@ -6,6 +6,7 @@ wrong, and where the pair is if the commands are right and the measurements are 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -26,6 +27,10 @@ _JUMP, _FASTER = 0.1, 8.0
 wrong: in degrees it is 57 times as fast, or noisy."""
 _AGAIN = 1.0
 """Time between two of these without a command that tell the same [s]."""
+_INSTANTS = 5
+"""Instants of a decision's time at which a pair is farther and farther off, if it is moved [-]."""
+_SETTLED = 0.3
+"""Time after which a load moves a pair no more, once the belts stand [s]; 0.2 in simulations."""
 
 
 class PairMotion:
@@ -34,7 +39,8 @@ class PairMotion:
     Until the pair has obeyed a turn, measured angles must stay within the commands of the last
     decision and the present target: little motion out of that range is a fault that stops at once,
     and the first commands must be: stay. Then signs and units are right, and what turns the pair
-    elsewhere is a load, as on most courses: only a pair that stays off its commands is a fault.
+    elsewhere is a load, or a motor that runs away. Both are as fast, but a load ends with the
+    drive: the pair is held while the belts stand, and one that still goes on runs away.
     """
 
     def __init__(
@@ -63,6 +69,7 @@ class PairMotion:
         self._missed: float | None = None  # since when it has been behind
         self._turn: tuple[float, float, float] | None = None  # way, command and angle at its start
         self._judged, self._mirrored = False, False
+        self._rest: tuple[float, float | None] = math.inf, None  # from when it rests, and where
 
     def unlike(self, angles: Sequence[float]) -> Fault | None:
         """Return a fault if the first command would turn joints of the pair that differ [rad]."""
@@ -108,7 +115,25 @@ class PairMotion:
         self._angles.append((now, tuple(angles)))
         while self._angles[0][0] < now - 2 * self._late:
             self._angles.popleft()
-        return (None if self.obeys else self._deviates(now)) or self._lags(now, target)
+        away = self._leaves(now) if self.obeys else self._deviates(now)
+        return away or self._lags(now, target)
+
+    def hold(self, now: float, angles: Sequence[float], *, driven: bool) -> Fault | None:
+        """Return a fault if a pair that is held for its motion goes on while the belts stand.
+
+        ``angles``: measured [rad]; ``driven``: whether the belts do not stand yet.
+        """
+        angle = sum(angles) / len(angles)
+        begun, rest = self._rest
+        if driven or begun == math.inf:
+            self._rest = now + _SETTLED, None
+        elif rest is None and now >= begun:
+            self._rest = begun, angle
+        elif rest is not None and abs(angle - rest) > 2 * _DEVIATION:
+            turned = f"{angle - rest:+.2f} rad while they were held and the belts stood"
+            text = f"the {self._name} flippers turned by {turned}"
+            return Fault("motion_runaway", text, at_once=True)
+        return None
 
     def angle(self, measured: float) -> float:
         """Return where a pair that was not seen to obey is by its commands [rad]."""
@@ -169,6 +194,26 @@ class PairMotion:
         text = f"the {self._name} flippers were told {instruction}, and turned by {measured} rad"
         return Fault(f"motion_{kind}", text, at_once=True, strike=True)
 
+    def _leaves(self, now: float) -> Fault | None:
+        """Compare the commands with a motion away from them, at a third of the flippers' speed."""
+        # For as long as a decision, and no sooner after a hold than that counts as another fault
+        begun, lasts = self._begun or 0.0, 2 * self._late
+        if now - max(self._angles[0][0], begun + self._limits.recurs) < 0.8 * lasts:
+            return None
+        low = min(min(angle, target) for _, angle, target in self._commands)
+        high = max(max(angle, target) for _, angle, target in self._commands)
+        # How far off them it was, in five instants; a fall is over before the last
+        last, count = len(self._angles) - 1, _INSTANTS - 1
+        passed = [self._angles[last * i // count][1] for i in range(count + 1)]
+        means = [sum(angles) / len(angles) for angles in passed]
+        way = 1 if means[-1] > high else -1
+        off = [max(way * angle - max(way * high, way * low), 0.0) for angle in means]
+        steps = [after - before for before, after in itertools.pairwise(off)]
+        if off[-1] <= self._limits.stall_error or min(steps) < self._speed * lasts / count / 3:
+            return None
+        text = f"turned by {means[-1] - means[0]:+.2f} rad, away from their commands"
+        return self._held("motion_away", text)
+
     def _lags(self, now: float, target: float) -> Fault | None:
         """Compare what was commanded half a decision ago with how far the pair has come since."""
         angle = sum(self._angles[-1][1]) / len(self._angles[-1][1])
@@ -207,8 +252,9 @@ class PairMotion:
 
     def _held(self, name: str, what: str) -> Fault:
         self._missed, self._slow = None, 0
-        hold = f"they are held where they are for {self._limits.stall_hold:g} s"
-        return Fault(name, f"the {self._name} flippers {what}; {hold}", strike=True)
+        hold = f"they are held for {self._limits.stall_hold:g} s, while the belts stand"
+        load = name == "motion_away"  # as far as is known
+        return Fault(name, f"the {self._name} flippers {what}; {hold}", gap=load, strike=not load)
 
 
 def _beyond(angle: float, low: float, high: float) -> float:

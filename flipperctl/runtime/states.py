@@ -95,6 +95,11 @@ class States:
         if driven is not self._driven:
             self._driven, self._changed = driven, now
 
+    @property
+    def driven(self) -> bool:
+        """Whether the last speed of the belts says that they drive; without one they do not."""
+        return self._driven and not math.isnan(self._speed)
+
     def update(self, now: float, fault: Fault | None) -> State:
         """Return the state by the fault of this time [s]; None: nothing is wrong."""
         if self.state == "stopped" and not self._ran:

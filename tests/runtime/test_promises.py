@@ -337,19 +337,49 @@ def test_flippers_that_do_not_follow_stall_and_then_stop(build: Any, kind: str) 
     assert moments[-1].answer.latched
 
 
-@pytest.mark.parametrize(("seconds", "named"), [(0.8, set()), (6.0, {"motion_slow"})])
-def test_a_load_turns_flippers_that_have_obeyed_and_is_no_wrong_sign_or_unit(
-    build: Any, seconds: float, named: set[str]
-) -> None:
-    """One that lasts, as of a motor that runs away, stops until it is acknowledged."""
-    robot, moments = build(), []
-    robot.run(3.0)
+def pushed(robot: Robot, seconds: float, rate: float, *, by_driving: bool) -> list[Any]:
+    """Raise the front pair at ``rate`` per flipper speed against its motor, and let time pass."""
+    moments = []
     for _ in range(round(seconds / TICK)):
-        robot.angles[:2] = [angle + 2 * TURN * TICK for angle in robot.angles[:2]]
+        if robot.runs or not by_driving:
+            robot.angles[:2] = [angle + (1 + rate) * TURN * TICK for angle in robot.angles[:2]]
         moments += robot.run(TICK)
-    assert turned(moments) > 0.3
+    return moments
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rate", "named"),
+    [(0.2, 4.0, set()), (0.4, 1.0, set()), (3.0, 1.0, {"motion_away"})],
+    ids=["a fall", "short", "long"],
+)
+def test_a_load_on_flippers_that_have_obeyed_is_no_fault_or_a_short_hold(
+    build: Any, seconds: float, rate: float, named: set[str]
+) -> None:
+    """It may be as fast as the motors or faster, but it ends as the belts stand."""
+    robot = build()
+    robot.run(3.0)
+    moments = pushed(robot, seconds, rate, by_driving=True) + robot.run(3.0)
+    assert turned(moments) > 0.14
     assert faults(moments) == named
-    assert moments[-1].answer.latched is bool(named)
+    assert sum(m.runs for m in moments[-50:]) == 50
+    assert moments[-1].answer.state == "driving"
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(1.0, 0.8), (0.5, 1.2), (0.3, 3.5)])
+def test_flippers_that_run_away_stop_the_robot_until_it_is_acknowledged(
+    build: Any, rate: float, seconds: float
+) -> None:
+    """The belts stand within ``seconds``, and for good a second later."""
+    robot = build()
+    robot.run(3.0)
+    moments = pushed(robot, 5.0, rate, by_driving=False)
+    stood = next(m for m in moments if not m.runs)
+    stopped = next(m for m in moments if m.answer.latched)
+    assert stood.time - moments[0].time < seconds
+    assert stopped.time - stood.time < 1.0
+    assert stopped.answer.fault == moments[-1].answer.fault == "motion_runaway"
+    assert max(stopped.angles) - max(moments[0].angles) < 0.5
+    assert not any(m.runs for m in moments[moments.index(stopped) :])
 
 
 def test_flippers_beyond_the_limits_are_held_there_and_turned_back_by_decisions(build: Any) -> None:
