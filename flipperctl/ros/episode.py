@@ -132,6 +132,7 @@ def export_bag(
 
     # The bag, and what it holds by topic
     messages = list(_messages(make, watch, decided, config.perception))
+    names = topic_names(make.devices)
     write_bag(folder, messages, make.devices)
     return {
         "format": "mcap",
@@ -140,8 +141,16 @@ def export_bag(
         "seed": config.eval.seed,
         "outcome": ending["outcome"],
         "seconds": watch.states[-1].time,
-        "messages": dict(Counter(stamped.topic for stamped in messages)),
+        "messages": dict(Counter(names.get(s.topic, s.topic) for s in messages)),
     }
+
+
+def topic_names(devices: Devices) -> dict[str, str]:
+    """Return what the topics of the devices are called in a bag, by those of ``TYPES``."""
+    called = devices.topics
+    names = {CLOUD: called.clouds, IMU: called.imu, JOINT_STATES: called.joints}
+    names |= {BELTS: called.belts, TARGETS: called.flipper_command}
+    return {topic: f"/{name.lstrip('/')}" for topic, name in names.items()}
 
 
 def write_bag(folder: Path, messages: Sequence[Stamped], devices: Devices | None = None) -> None:
@@ -149,9 +158,7 @@ def write_bag(folder: Path, messages: Sequence[Stamped], devices: Devices | None
 
     Topics of devices are called as ``devices`` call them.
     """
-    called = (devices or Devices()).topics
-    names = {CLOUD: called.clouds, IMU: called.imu, JOINT_STATES: called.joints}
-    names |= {BELTS: called.belts, TARGETS: called.flipper_command}
+    names = topic_names(devices or Devices())
     ros = require_rosbags("a bag")
     types, bag = typestore(), ros.rosbag2
     with (
@@ -162,7 +169,7 @@ def write_bag(folder: Path, messages: Sequence[Stamped], devices: Devices | None
         topics = {}
         for topic in dict.fromkeys(stamped.topic for stamped in messages):
             more = {"typestore": types, "offered_qos_profiles": _qos(topic)}
-            name = f"/{names[topic].lstrip('/')}" if topic in names else topic
+            name = names.get(topic, topic)
             topics[topic] = writer.add_connection(name, TYPES[topic], **more)
         for time, topic, message in sorted(messages, key=lambda stamped: stamped.time):
             data = types.serialize_cdr(message, TYPES[topic])

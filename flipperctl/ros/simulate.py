@@ -77,9 +77,8 @@ class Link:
 
     def __post_init__(self) -> None:
         """Refuse what does not go together."""
-        fault = self.delay or self.jitter or self.loss or self.clock_step
-        if self.lockstep and (fault or self.rate != 1.0):
-            raise RequestError("--lockstep has no rate, delay, jitter, loss or step of the clock")
+        if self.lockstep and (self.clock_step or self.rate != 1.0):
+            raise RequestError("--lockstep has no rate and no step of the clock")
 
     @property
     def simulated_clock(self) -> bool:
@@ -138,7 +137,7 @@ class TopicRobot(Observer):
         self._ready: float | None = None
         self._answered = -math.inf  # stamp of the newest command [s]
         self._late: list[tuple[float, int, str, Any]] = []  # when it comes, and what [s]
-        self.numbers, self._count = Numbers(), 0
+        self.numbers, self._count, self._order = Numbers(), 0, 0
         self._base = self._now = _EPOCH  # the clock at the episode's begin, and now [s]
         self._when = 0.0  # time of the episode [s]
         self._zero: float | None = None  # real time of the episode's begin [s]
@@ -311,16 +310,15 @@ class TopicRobot(Observer):
         if link.loss and self._rng.random() < link.loss:
             return
         late = link.delay + (self._rng.uniform(0.0, link.jitter) if link.jitter else 0.0)
-        self._count += 1
-        if late:
-            heapq.heappush(self._late, (self._when + late, self._count, topic, message))
-        else:
-            self._send(topic, message)
+        self._order += 1
+        heapq.heappush(self._late, (self._when + late, self._order, topic, message))
+        self._flush()
 
     def _flush(self) -> None:
         while self._late and self._late[0][0] <= self._when:
             *_, topic, message = heapq.heappop(self._late)
             self._send(topic, message)
+            self._count += 1
 
     def _send(self, topic: str, message: Any) -> None:
         if (publish := self._publish[topic]) is not None:

@@ -41,6 +41,15 @@ class Recorder:
         self._writer, self._types, self.kinds = writer, typestore(), kinds(devices)
         self._topics: dict[str, Any] = {}
         self.counts: dict[str, int] = {}
+        self._newest = 0.0  # stamp of all messages [s]
+
+    def take(self, topic: str, message: Any) -> None:
+        """Record a message as received at its stamp, or at the newest one if it has none."""
+        stamp = getattr(getattr(message, "header", None), "stamp", getattr(message, "clock", None))
+        if stamp is not None:
+            time = stamp.sec + 1e-9 * stamp.nanosec
+            self._newest = max(self._newest, time)
+        self.write(topic, message, self._newest if stamp is None else time)
 
     def write(self, topic: str, message: Any, time: float) -> None:
         """Record a message of rosbags that was received at ``time`` [s]."""

@@ -220,7 +220,7 @@ def test_messages_come_late_in_another_order_or_never() -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--lockstep", "--rate", "2"], "--lockstep has no rate, delay, jitter, loss or step"),
+        (["--lockstep", "--rate", "2"], "--lockstep has no rate and no step of the clock"),
         (["--clock-step", "3:x"], "--clock-step 3:x: a time and a step in s are allowed"),
         (["perception.pose=true"], "perception.pose=belts or matched is allowed"),
         (["devices=none.yaml"], "none.yaml cannot be read"),
@@ -234,4 +234,4 @@ def test_requests_without_effect_are_refused(words: list[str], text: str, tmp_pa
 
 def test_a_link_that_contradicts_itself_is_refused() -> None:
     with pytest.raises(RequestError):
-        Link(lockstep=True, loss=0.1)
+        Link(lockstep=True, clock_step=(3.0, -5.0))
