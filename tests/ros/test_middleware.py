@@ -204,7 +204,7 @@ def test_topics_are_printed_as_the_lines_of_the_self_test(ros: Ros) -> None:
 
 
 def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:
-    """Messages that are lost, late and in another order cost a hold, and no stop that lasts.
+    """Messages that are lost, late and in another order cost no hold, and no stop.
 
     They are so in simulated time, and each sample waits for the node: the machine adds nothing.
     """
@@ -214,8 +214,10 @@ def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:
         assert node.process.poll() is None
         assert '"latched": true' not in node.log.read_text()
     assert row["outcome"] == "reached"
-    print(row["diagnoses"])
-    assert row["diagnoses"]["driving"] > 0.95 * sum(row["diagnoses"].values())
+    # It begins without messages and with little ground, and drives from then on without a hold.
+    begin = {"joints_missing", "attitude_missing", "cloud_missing", "coverage", "standby"}
+    assert set(row["diagnoses"]) <= begin | {"driving"}
+    assert row["diagnoses"]["driving"] > 0.8 * sum(row["diagnoses"].values())
 
 
 def test_a_second_node_refuses_and_a_killed_one_stops_the_robot(

@@ -19,6 +19,7 @@ def generate_launch_description():
         cmd=[
             *("flipperctl", "robot", "simulate", "sim=mujoco"),
             ["terrain=", LaunchConfiguration("terrain")],
+            ["robot=", LaunchConfiguration("robot")],
             ["devices=", devices],
         ],
         output="screen",
@@ -28,6 +29,7 @@ def generate_launch_description():
     return LaunchDescription(
         [
             DeclareLaunchArgument("terrain", default_value="paper_step"),
+            DeclareLaunchArgument("robot", default_value="nubot"),
             DeclareLaunchArgument("devices", default_value=default),
             simulate,
             IncludeLaunchDescription(
