@@ -39,6 +39,7 @@ FLAT = "terrain=flat", "terrain.length=1", "episode.run_up=0.3", "episode.run_ou
 FEW = "perception.azimuths=60"  # rays, which are most of the simulation's time
 FLAT = *FLAT, "episode.slack=30", "episode.stuck_window=1000", FEW
 SHORT = "terrain=step", "terrain.height=0.4", "episode.run_up=0.8", "episode.run_out=0.6", FEW
+BEGIN = "joints_missing", "cloud_missing", "coverage", "standby"
 CLOCK = {"use_sim_time": True}  # so that a busy machine is no fault of its own
 WIRE = """
 import time
@@ -215,9 +216,8 @@ def test_over_a_bad_link_it_crosses_the_step(ros: Ros) -> None:
         assert '"latched": true' not in node.log.read_text()
     assert row["outcome"] == "reached"
     # It begins without messages and with little ground, and drives from then on without a hold.
-    begin = {"joints_missing", "attitude_missing", "cloud_missing", "coverage", "standby"}
-    assert set(row["diagnoses"]) <= begin | {"driving"}
-    assert row["diagnoses"]["driving"] > 0.8 * sum(row["diagnoses"].values())
+    assert set(row["diagnoses"]) == {*BEGIN, "driving"}
+    assert row["diagnoses"]["driving"] > 0.85 * sum(row["diagnoses"].values())
 
 
 def test_a_second_node_refuses_and_a_killed_one_stops_the_robot(
@@ -262,8 +262,15 @@ def test_a_clock_that_steps_stops_the_robot_until_it_is_acknowledged(
     assert row["outcome"] == "reached"
 
 
-def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(ros: Ros) -> None:
+def test_a_link_that_is_cut_for_6_s_stops_the_robot_until_it_is_back(
+    ros: Ros, request: pytest.FixtureRequest
+) -> None:
     """Messages that were on their way come late, too."""
+    if "kilted" in request.node.name:
+        reason = (
+            "in 1 of 5 runs Kilted's Fast DDS heard Cyclone DDS for 8 s after the cut, then no more"
+        )
+        request.applymarker(pytest.mark.xfail(reason=reason))
     with network() as (here, there, switch):
         # By the clock of the machine, which no link cuts; it may be busy, so messages may be late.
         ages = dict.fromkeys(("cloud", "attitude", "joints", "odometry"), 3.0)

@@ -24,6 +24,7 @@ from std_msgs.msg import Float64
 from flipperctl.errors import FlipperctlError
 from flipperctl.runtime import Attitude, read_devices
 from flipperctl.runtime.point_cloud import read_cloud
+from flipperctl_ros import wake
 
 MOST, EVERY = 2000, 0.5  # points of a cloud; time between two clouds [s]
 
@@ -43,6 +44,7 @@ class Lines(Node):
         subscribe(Imu, names.imu, self.on_imu, qos)
         subscribe(JointState, names.joints, self.on_joints, qos)
         subscribe(belts, names.belts, self.on_belts, qos)
+        wake(self)
 
     def write(self, device, content):
         """Print a message; its time is that at which it came, by the node's clock [s]."""

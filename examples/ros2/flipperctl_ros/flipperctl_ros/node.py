@@ -31,6 +31,7 @@ from flipperctl.runtime.devices import read_devices
 from flipperctl.runtime.lockstep import Lockstep
 from flipperctl.runtime.markers import markers_of
 from flipperctl.runtime.node import Place, RobotNode
+from flipperctl_ros import wake
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 KINDS = {"plan": Marker.LINE_LIST, "risk": Marker.TEXT_VIEW_FACING}  # the others are points
@@ -70,6 +71,7 @@ class FlipperNode(LifecycleNode):
                 self.declare_parameter(name, default)
         self.robot, self.lockstep, self.commands, self.ours = None, None, {}, []
         self.buffer = None  # of tf
+        wake(self)
 
     def parameter(self, name):
         return self.get_parameter(name).value
