@@ -40,13 +40,13 @@ class Random(Controller):
 
 @controller("okada")
 class Okada(Controller):
-    """Turn the front flippers along the ground ahead, the rear ones along that behind.
+    """Turn the front flippers along the ground ahead; the rear ones are held level.
 
     Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the scanned
-    terrain. Here each pair takes the largest angle to the inflated terrain, the rear pair a
-    fraction of it. They exclude angles at which the robot would stand with too small a normalised
-    energy stability margin. With ``margin``, the turns come as near to the angles as the margin
-    allows, where the robot would rest by contact geometry.
+    terrain. Here a pair takes the largest angle to the inflated terrain, the rear pair
+    ``rear_gain`` of it. They exclude angles at which the robot would stand with too small a
+    normalised energy stability margin. With ``margin``, the turns come as near to the angles as
+    the margin allows, where the robot would rest by contact geometry.
     """
 
     near: float = Field(
