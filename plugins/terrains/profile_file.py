@@ -173,7 +173,10 @@ class ProfileFile(Terrain):
     def notices(self) -> tuple[str, ...]:
         """Return remarks on the recording's extent, faces, layers and missing values."""
         _, remarks = self._recorded
-        return tuple(f"{self._file}: {remark}" for remark in (*remarks, *self._beside_remark()))
+        remarks = (*remarks, *self._beside_remark())
+        if self.path is None:
+            remarks = ("this is the included example; terrain.path=FILE is ground of yours",)
+        return tuple(f"{self._file}: {remark}" for remark in remarks)
 
     @cached_property
     def _profile(self) -> Profile:

@@ -51,6 +51,8 @@ def test_a_csv_is_a_profile_in_its_unit(tmp_path: Path) -> None:
 def test_the_default_is_the_included_example() -> None:
     assert profile().label == "example"
     assert profile().end == pytest.approx(2.5)
+    (remark,) = resolver.create("terrain", {"name": "profile_file"}, "terrain").notices()
+    assert "terrain.path=FILE" in remark
 
 
 def test_a_large_csv_is_read_equally_and_its_fault_is_named(tmp_path: Path) -> None:
