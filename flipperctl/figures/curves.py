@@ -20,8 +20,10 @@ from flipperctl.api import FloatArray, Outcome
 from flipperctl.errors import RequestError
 from flipperctl.figures.figure import (
     COLUMN,
+    NO_PLACES,
     SUCCESS,
     VARIATION,
+    Places,
     in_style,
     label,
     legend,
@@ -91,6 +93,7 @@ def curves_figure(
     metrics: Sequence[str] = METRICS,
     *,
     average: Average = "mean",
+    places: Places = NO_PLACES,
     width: float = COLUMN,
 ) -> Figure:
     """Draw a panel for each metric with a curve for each method, and a band over its seeds.
@@ -98,7 +101,7 @@ def curves_figure(
     Curves are of validations if every run has three or more, else of training episodes: means over
     the last 10 to 100 of them, a tenth of a run. They end where the shortest seed of the method
     does. A single run shows both. Pitch variation and time come from reached episodes; a curve
-    has a gap where a seed has none.
+    has a gap where a seed has none. ``places``: see ``figure.places``.
 
     Raises:
         RequestError: a run has no row yet, or no run has a metric.
@@ -118,9 +121,9 @@ def curves_figure(
     for panel, metric in zip(axes, metrics, strict=True):
         if alone:
             _draw_run(panel, next(iter(runs.values()))[0], metric, window(runs))
-        for at, (_, seeds) in enumerate(runs.items() if not alone else ()):
+        for at, (name, seeds) in enumerate(runs.items() if not alone else ()):
             curve = over_seeds(seeds, metric, validated, window(runs), average)
-            _draw(panel, curve, at, marked=validated and metric not in _TRAINED)
+            _draw(panel, curve, places.get(name, at), marked=validated and metric not in _TRAINED)
         _finish(panel, metric)
     # Decisions are named below the lowest panels, and below those that share no axis with them.
     shared = figure.axes[: len(metrics)]
@@ -128,7 +131,7 @@ def curves_figure(
         last = panel.get_subplotspec()
         if last is not None and (last.is_last_row() or not panel.get_shared_x_axes()):
             panel.set_xlabel("Training decisions")
-    legend(figure, _handles(runs, alone, axes, marked=validated))
+    legend(figure, _handles(runs, places, alone, axes, marked=validated))
     figure.align_ylabels()
     return figure
 
@@ -263,7 +266,9 @@ def _thousands(value: float, at: float) -> str:
     return f"{value:,.0f}".replace(",", "\N{THIN SPACE}")
 
 
-def _handles(runs: Runs, alone: bool, axes: Sequence[Axes], *, marked: bool) -> list[Line2D]:
+def _handles(
+    runs: Runs, places: Places, alone: bool, axes: Sequence[Axes], *, marked: bool
+) -> list[Line2D]:
     """Return the entries of the legend; none for a single method."""
     if alone:
         lines = {str(line.get_label()): line for panel in axes for line in panel.get_lines()}
@@ -271,5 +276,5 @@ def _handles(runs: Runs, alone: bool, axes: Sequence[Axes], *, marked: bool) -> 
     handles = []
     for at, (name, seeds) in enumerate(runs.items()):
         text = f"{name} ({len(seeds)} seeds)" if len(seeds) > 1 else name
-        handles.append(Line2D([], [], label=text, **look(at, marked=marked)))
+        handles.append(Line2D([], [], label=text, **look(places.get(name, at), marked=marked)))
     return handles

@@ -6,7 +6,7 @@ In: traces of episodes. Out: a figure, with the map of a sensor that maps the gr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,9 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from flipperctl.api import FloatArray, Outcome, Profile, RobotGeometry, RobotState
 from flipperctl.figures.figure import (
     COLUMN,
+    NO_PLACES,
     WIDTH,
+    Places,
     draw_ground,
     frame,
     in_style,
@@ -101,7 +103,7 @@ def series_figure(
     traces: Sequence[Trace],
     names: Sequence[str],
     *,
-    places: Mapping[str, int] = {},
+    places: Places = NO_PLACES,
     width: float = COLUMN,
 ) -> Figure:
     """Draw pitch, flippers and the height of the chassis over time, a curve for each policy.

@@ -11,7 +11,7 @@ import io
 import itertools
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -45,6 +45,9 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#56B4E9", "#E69F00", "#2
 LINES = ("-", "--", "-.", ":")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """Lines and markers of methods: with 7 colours and markers and 4 lines, 28 methods differ."""
+Places = Mapping[str, int]
+"""Index of each method's look; methods that are missing have that of their order."""
+NO_PLACES: Places = {}
 _LEVEL = 60.0
 """Length of the level ground before and past a profile, and depth of the ground [m]."""
 _LEAST = 0.09

@@ -16,7 +16,9 @@ from matplotlib.lines import Line2D
 
 from flipperctl.figures.figure import (
     COLUMN,
+    NO_PLACES,
     SUCCESS,
+    Places,
     in_style,
     label,
     legend,
@@ -30,9 +32,6 @@ from flipperctl.figures.render import FAINT, INK
 Row = Mapping[str, Any]
 """Keys ``method`` and ``scene``, and by the name of each metric a mean with its interval: a mapping
 with ``mean``, ``low`` and ``high``, whose ends may be None; or None where there is no value."""
-Places = Mapping[str, int]
-"""Index of each method's look; methods that are missing have that of their order."""
-NO_PLACES: Places = {}
 _BANDS, _BARS = 2, 6
 """Largest number of profiles with bands; number of bars of each, where there are more [-]."""
 _PALE = 0.85  # opacity of the cells of a heat table [-]

@@ -159,7 +159,9 @@ def _curves(
     from flipperctl.evaluation.plan import entrants
     from flipperctl.evaluation.stored import named_path
     from flipperctl.figures import curves
+    from flipperctl.figures.figure import places
     from flipperctl.training.folder import read_run
+    from flipperctl.views.plot import rules
 
     runs: dict[str, list[Path]] = {}
     names: dict[str, str] = {}  # names that the user gave with the paths
@@ -183,6 +185,7 @@ def _curves(
             runs.setdefault(name, []).extend(m for m in members if m not in runs.get(name, ()))
     free = renamed([name for name in runs if name not in names], request.names)
     called = {name: names.get(name) or free[name] for name in runs}
+    at = {called[name]: place for name, place in places(list(runs), rules()).items()}
     if request.only:
         called = {
             label: called[label] for label in (taken(o, called, "--only") for o in request.only)
@@ -193,7 +196,7 @@ def _curves(
         if is_held(run):
             tell(f"{run} is still training; it is drawn as far as it is")
     metrics = request.metrics or curves.METRICS
-    figure = curves.curves_figure(rows, metrics, average=average, **request.sized())
+    figure = curves.curves_figure(rows, metrics, average=average, places=at, **request.sized())
     if max(map(len, rows.values())) > 1 or len(rows) > 1:
         of = "validations" if curves.uses_validations(rows) else (
             f"training episodes, each point a mean of {curves.window(rows)}, since a run has fewer "

@@ -11,6 +11,9 @@ from typing import Any, cast
 
 from flipperctl.api import Listener, Logger, RunInfo, logger, scalars
 
+_FIRST = ("success_rate", "return", "pitch_variation_100hz")
+"""Columns of validations that stand a second time, in the group that a viewer opens first."""
+
 
 @logger("tensorboard")
 class TensorBoard(Logger):
@@ -22,7 +25,7 @@ class TensorBoard(Logger):
 
 
 class Events:
-    """Write scalars under ``episode/`` and ``validation/``, with decisions as steps.
+    """Write scalars under ``at_a_glance/``, ``episode/`` and ``validation/``; steps are decisions.
 
     The events equal those of torch's SummaryWriter, but they are written in this thread. The thread
     of SummaryWriter would print a traceback when the disk is full or the folder is deleted.
@@ -53,6 +56,8 @@ class Events:
     def validation(self, row: Mapping[str, Any]) -> None:
         """Write the row's numbers."""
         self._scalars("validation", row)
+        # Viewers open the first groups by name.
+        self._scalars("at_a_glance", {name: row.get(name) for name in ("decision", *_FIRST)})
         self._file.flush()
 
     def note(self, text: str) -> None:

@@ -126,6 +126,13 @@ def test_a_method_has_one_colour_whatever_is_left_out(here: Path) -> None:
     still = colour(drawn(here, "judged", only=["level"]))
     assert still == colour(drawn(here, "judged"))
     assert still == colour(drawn(here, "judged", kind="profiles", only=["level"]))
+    # So has a curve.
+    (here / "b").mkdir()
+    (here / "b/metrics.csv").write_text((here / "run/metrics.csv").read_text())
+    (here / "c").mkdir()
+    (here / "c/metrics.csv").write_text((here / "run/metrics.csv").read_text())
+    three = drawn(here, "A=run", "B=b", "C=c")
+    assert colour(drawn(here, "A=run", "B=b", "C=c", only=["B", "C"])) == colour(three)
     # Rules have places of their own, from the end; trained policies take the others in order.
     rules = ["geometric", "greedy", "hfc", "level", "mpc", "ohno", "okada"]
     found = places(["mine", "level", "okada", "yours"], rules)

@@ -1,4 +1,4 @@
-"""What ``wandb`` records, through a tracker that remembers its calls."""
+"""What ``wandb`` records, through a tracker that remembers its calls; what TensorBoard shows."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from flipperctl_plugins.loggers.tensorboard import Events
 from flipperctl_plugins.loggers.wandb import Tracker
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from flipperctl.api import Logger, RunInfo, registry
 
@@ -97,3 +99,20 @@ def test_a_package_that_is_missing_is_named_with_its_extra(
     assert issubclass(cls, Logger)
     with pytest.raises(ImportError, match=r"pip install 'flipperctl\[wandb\]'"):
         cls().open(run(tmp_path))
+
+
+def test_tensorboard_opens_on_success_return_and_pitch_variation(tmp_path: Path) -> None:
+    """Viewers open the group that is first by name."""
+    events = Events(tmp_path)
+    events.episode(row(20))
+    events.validation(row(40) | {"success_rate": 0.5, "pitch_variation_100hz": 1.25, "seconds": 3})
+    events.close()
+    found: Any = EventAccumulator(str(tmp_path))
+    found.Reload()
+    tags = sorted(found.Tags()["scalars"])
+    first = ["pitch_variation_100hz", "return", "success_rate"]
+    assert [tag for tag in tags if tag.startswith(tags[0].split("/")[0])] == [
+        f"at_a_glance/{name}" for name in first
+    ]
+    assert [(point.step, point.value) for point in found.Scalars(tags[0])] == [(40, 1.25)]
+    assert {"episode/return", "validation/return", "validation/seconds"} <= set(tags)
