@@ -176,7 +176,9 @@ def _draw_poses(
     """
     # The ground, and the way of the chassis centre over it
     draw_ground(axes, trace.profile)
-    path = axes.plot(*trace.position.T, color=INK, linewidth=points(0.6), label="chassis centre")
+    path = axes.plot(
+        *trace.position.T, color=INK, linewidth=points(0.6), label="chassis centre", zorder=15
+    )
     shown = _shown(trace)
     # What the map held at the instants of the poses
     if trace.maps:

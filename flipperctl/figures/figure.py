@@ -42,9 +42,9 @@ _SIDE_BY_SIDE = 5.0
 """Width from which panels stand side by side [in]."""
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#56B4E9", "#E69F00", "#222222")
 """Colours of methods, for colour-blind readers (Okabe and Ito's; the purple is Paul Tol's)."""
-LINES = ("-", "--", "-.", ":")
+LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-"""Lines and markers of methods: with 7 colours and markers and 4 lines, 28 methods differ."""
+"""Lines and markers of methods: with 7 colours and markers and 5 lines, 35 methods differ."""
 Places = Mapping[str, int]
 """Index of each method's look; methods that are missing have that of their order."""
 NO_PLACES: Places = {}

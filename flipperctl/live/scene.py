@@ -36,6 +36,7 @@ _LEVEL = 14.0
 _FLOOR = "#CBC5BA"
 _WIDE = 20.0  # half the width of the floor [m]
 _HAZE = 8.0, 15.0  # distance from the camera at which the haze begins, and is all that is seen [m]
+_CLEARER = 1.4, 0.5  # by how much farther they are for each further lane [m]
 _THIN = 0.02  # ground of a lane above the floor, at its lowest point [m]
 _SKIES = {False: ("#C3DAEE", SKY), True: ("#1C2530", "#252E39")}
 """Colours of the sky at its top and at the horizon, by whether the page is dark."""
@@ -88,6 +89,7 @@ class Stage:
         self._floor: Any = None
         self._height: float | None = None
         """z that the camera follows; None before the first state of an episode [m]."""
+        self._dark, self._lanes = False, 1
         self.set_dark(False)
         self.look_at_lanes(1)
 
@@ -98,11 +100,17 @@ class Stage:
         share = np.linspace(0, 1, 256)[:, None].clip(0, _BAND) / _BAND
         sky = ((1 - share) * top + share * horizon).round().astype(np.uint8)
         scene.set_background_image(np.repeat(sky[:, None], 2, axis=1), format="png")
-        # Colours of the haze are of linear light.
-        red, green, blue = (255 * _linear(_SKIES[dark][1])).round().astype(int).tolist()
-        scene.configure_fog(*_HAZE, color=(red, green, blue))
+        self._dark = dark
+        self._add_haze()
         for light, intensity in zip(self._lights, _LIGHTS[dark], strict=True):
             light.intensity = intensity
+
+    def _add_haze(self) -> None:
+        """Hide where the ground ends, and no robot."""
+        near, far = np.array(_HAZE) + (self._lanes - 1) * np.array(_CLEARER)
+        # Colours of the haze are of linear light.
+        red, green, blue = (255 * _linear(_SKIES[self._dark][1])).round().astype(int).tolist()
+        self._server.scene.configure_fog(float(near), float(far), color=(red, green, blue))
 
     def set_shadows(self, shown: bool) -> None:
         """Show or hide shadows, which take a browser without a graphics card twice as long."""
@@ -110,6 +118,8 @@ class Stage:
 
     def look_at_lanes(self, count: int) -> None:
         """Turn the cameras of all browsers to ``count`` lanes."""
+        self._lanes = count
+        self._add_haze()
         middle = np.array([_AHEAD, (count - 1) / 2 * (WIDTH + _BETWEEN), _ABOVE])
         flat = math.cos(_ELEVATION)
         towards = [flat * math.cos(_AZIMUTH), flat * math.sin(_AZIMUTH), -math.sin(_ELEVATION)]
