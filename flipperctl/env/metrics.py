@@ -98,6 +98,7 @@ RESERVED = frozenset(
         "terrain",
         "training",
         "training_seed",
+        *RENAMED,
     }
 )
 """Columns and keys of files besides the measures."""

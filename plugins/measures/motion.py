@@ -40,7 +40,7 @@ def flipper_travel(episode: Sequence[Transition]) -> float:
 
 @measure("flipper_energy", unit="J", digits=1, reached_only=True, better="lower", in_tables=False)
 def flipper_energy(episode: Sequence[Transition]) -> float:
-    """Integral of the absolute power (torque × angular speed) of all flippers [J].
+    """Integral of the absolute power (torque × speed) of all flippers [J].
 
     Braking counts as driving does, since a flipper's gear gives no energy back; a torque that holds
     a flipper still does no work. It is 0 in an engine that does not measure it.

@@ -178,7 +178,7 @@ def test_asking_for_them_changes_no_state() -> None:
     targets = states[:, TARGETS:] + TURNS
     bare, posed = (model.expand(states, targets, PERIOD, poses=asked) for asked in (False, True))
     assert bare.poses.shape == (9, 0, 5)
-    for name in ("states", "places", "pitch_variation_decisions", "steepest", "outcome"):
+    for name in ("states", "places", "pitch_variation", "steepest", "outcome"):
         assert np.array_equal(getattr(bare, name), getattr(posed, name)), name
 
 
