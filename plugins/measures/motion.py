@@ -79,7 +79,7 @@ def pitch_variation(episode: Sequence[Transition]) -> float:
 
 @measure("pitch_variation_100hz", unit="rad", reached_only=True, better="lower")
 def pitch_variation_100hz(episode: Sequence[Transition]) -> float:
-    """θ̂_R between poses 10 ms apart, which includes motion within decisions [rad]."""
+    """θ̂_R between poses 10 ms apart, motion within decisions included [rad]."""
     pitches = (t.path[:, 2] for t in episode)
     return _total(float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1]))) for pitch in pitches)
 
