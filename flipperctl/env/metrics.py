@@ -29,9 +29,11 @@ RENAMED: Mapping[str, str] = {"pitch_variation": "pitch_variation_decisions"}
 """New names of measures by those that they had until version 0.3."""
 
 
-def with_former_names(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a JSON document's numbers with those that older readers know by another name."""
-    return {**numbers, **{old: numbers[new] for old, new in RENAMED.items() if new in numbers}}
+def with_both_names(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a JSON document's numbers by former and present names, whichever it has."""
+    names = [pair for old, new in RENAMED.items() for pair in ((old, new), (new, old))]
+    more = {name: numbers[known] for name, known in names if known in numbers}
+    return {**numbers, **{name: value for name, value in more.items() if name not in numbers}}
 
 
 DRAWN = "drawn_"

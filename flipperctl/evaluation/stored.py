@@ -17,7 +17,7 @@ import numpy as np
 
 from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
-from flipperctl.env.metrics import RENAMED
+from flipperctl.env.metrics import RENAMED, with_both_names
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import SeedSamples
@@ -38,7 +38,8 @@ def read_document(folder: Path) -> dict[str, Any]:
     """
     file = folder / SUMMARY
     try:
-        document: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        document: dict[str, Any] = json.loads(text, object_hook=with_both_names)
     except OSError as error:
         raise RequestError(
             f"{file}: it cannot be read ({error.strerror}); a folder of flipperctl eval --output "

@@ -125,8 +125,8 @@ def film_training(run: Path, config: TrainConfig, path: Path, tell: Callable[[st
     from flipperctl.figures.film import Part, Take, film
 
     seed, takes = EvaluationSeeds.of(0, config.terrain)(0), []
-    kept = sorted((int(file.stem.split("_")[1]), file) for file in run.glob(KEPT.format("*")))
-    for decision, file in kept:
+    policies = sorted((int(file.stem.split("_")[1]), file) for file in run.glob(KEPT.format("*")))
+    for decision, file in policies:
         name = f"after {decision:,} decisions"
         part = Part(name, config.environment(), load_policy(file), seed)
         takes.append(Take(f"{config.terrain.plugin_name}, episode 0", [part]))

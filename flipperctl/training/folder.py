@@ -32,7 +32,7 @@ from flipperctl.checkpoint.results import (
 )
 from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.config.identity import differences
-from flipperctl.env.metrics import RENAMED, with_former_names
+from flipperctl.env.metrics import RENAMED, with_both_names
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
 from flipperctl.plugging import plugins
 from flipperctl.text.files import CsvRow, make_folder, read_csv, remove_partial, write_bytes
@@ -249,5 +249,5 @@ def summarise(run: Path, episodes: Rows, validations: Rows) -> dict[str, Any]:
         "summary": summary_of(run) or None,
         "running": is_held(run),
         "episodes": len(episodes),
-        "validations": [with_former_names(of_reached(row)) for row in numbers],
+        "validations": [with_both_names(of_reached(row)) for row in numbers],
     }

@@ -18,6 +18,7 @@ from typing import Any
 
 from flipperctl.checkpoint.results import hold, holds_run, is_dead, names, summary_of
 from flipperctl.config.words import literal_override
+from flipperctl.env.metrics import with_both_names
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError, RunHeldError
 from flipperctl.process.session import command, interrupts
 from flipperctl.text.files import make_folder, read_csv, write_csv
@@ -108,7 +109,7 @@ class SweepRun:
 
     def row(self) -> dict[str, Any]:
         """Return the row of ``sweep.csv``, with the measures of the best validation."""
-        best = of_reached(self.summary.get("best") or {})
+        best = of_reached(with_both_names(self.summary.get("best") or {}))
         measures = ("success_rate", "pitch_variation_100hz", "pitch_variation_decisions", "t_cost")
         return {
             "job": self.job,

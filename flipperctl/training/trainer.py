@@ -30,7 +30,7 @@ from flipperctl.checkpoint.document import (
 from flipperctl.config import TrainConfig
 from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env import ground
-from flipperctl.env.metrics import DRAWN, with_former_names
+from flipperctl.env.metrics import DRAWN, with_both_names
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.plugging.guard import naming
 from flipperctl.rollout.collect import Collector, Usage
@@ -327,8 +327,8 @@ class Trainer:
         last, best, learning = self.validator.last, self.validator.best, self.learning
         if last is None or last.decision != self.progress.decision:
             return
-        kept = Path(checkpoint.KEPT.format(last.decision))
-        places = [kept] if self.config.train.keep_policies else []
+        numbered = Path(checkpoint.KEPT.format(last.decision))
+        places = [numbered] if self.config.train.keep_policies else []
         places += [checkpoint.BEST] if last is best else []
         parts = {"policy": learning.policy.state_dict()}
         if learning.risk is not None:
@@ -405,7 +405,7 @@ class Trainer:
             "seconds": round(self.companion.seconds, 1),
             "success_rate": progress.success_rate,
             **{
-                name: validation and with_former_names(validation.model_dump())
+                name: validation and with_both_names(validation.model_dump())
                 for name, validation in validations.items()
             },
             "usage": self._usage and asdict(self._usage),

@@ -255,7 +255,8 @@ def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
     return wanted
 
 
-def _compared(request: Request) -> tuple[compare.Comparison, dict[str, str], dict[str, int]]:
+def compared(request: Request) -> tuple[compare.Comparison, dict[str, str], dict[str, int]]:
+    """Return the comparison of all methods, what those to be drawn are called, and their looks."""
     comparison = compare.compare(request.folders, measure=request.one_metric())
     labels = [method.name for method in comparison.stored.methods]
     return comparison, request.called(labels), request.places(labels)
@@ -264,7 +265,7 @@ def _compared(request: Request) -> tuple[compare.Comparison, dict[str, str], dic
 def _differences(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import differences_figure
 
-    comparison, called, places = _compared(request)
+    comparison, called, places = compared(request)
     if len(called) < 2:
         raise RequestError(f"{request.folders[0]}: two methods are needed for differences")
     usual = "level" if "level" in called else next(iter(called))
@@ -283,7 +284,7 @@ def _differences(request: Request) -> tuple[Figure, Sequence[str]]:
 def _profiles(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import profiles_figure
 
-    comparison, called, places = _compared(request)
+    comparison, called, places = compared(request)
     levels, curves = profiles(comparison, called)
     drawn = profiles_figure(levels, curves, comparison.measure, places=places, **request.sized())
     return drawn, comparison.stored.notices

@@ -148,15 +148,13 @@ def _facts(document: Document) -> Iterator[str]:
 
 def _gaps(folder: Path, policies: Sequence[str]) -> Gaps:
     """Return the differences of all policies to the ruler; none where these cannot be compared."""
-    from flipperctl.views import compare
-    from flipperctl.views.plot import Request, differences
+    from flipperctl.views.plot import Request, compared, differences
 
     if RULER not in policies or len(policies) < 2:
         return {}
     request = Request([str(folder)])
     try:
-        comparison = compare.compare(request.folders, measure=request.one_metric())
-        called = request.called([method.name for method in comparison.stored.methods])
+        comparison, called, _ = compared(request)
         rows = list(differences(comparison, called, VARIATION, RULER))
     except (RequestError, ValueError):  # as of scenes or settings that not all policies share
         return {}

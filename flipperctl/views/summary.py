@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from flipperctl.api import FloatArray, Outcome
-from flipperctl.env.metrics import CORE, with_former_names
+from flipperctl.env.metrics import CORE, with_both_names
 from flipperctl.evaluation.conditions import numbered
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.rows import Episodes, Row, reached
@@ -92,7 +92,7 @@ def _summary(terrain: str, episodes: Episodes) -> Document:
     risk_summary = summarise([(risk, fails) for risk, fails in risks if risk is not None])
     if risk_summary is not None:
         document["risk"] = risk_summary
-    return with_former_names(document)
+    return with_both_names(document)
 
 
 def estimate(values: Sequence[float]) -> Document | None:
@@ -123,7 +123,7 @@ def _not_reached(failed: Episodes) -> Document | None:
     names = {"duration": "t_cost"} | {name: name for name in _MEASURED[1:]}
     names |= {m.plugin_name: m.plugin_name for m in failed.measures() if m.reached_only}
     values = {key: estimate(failed.values(name)) for key, name in names.items()}
-    return with_former_names({"episodes": len(failed), **values})
+    return with_both_names({"episodes": len(failed), **values})
 
 
 def _search(episodes: Episodes) -> Document:
@@ -161,7 +161,7 @@ def _difference(pairs: Sequence[tuple[Row, Row]]) -> Document:
         ]
         gap = interval(values).to_dict() | {"episodes": len(values)} if values else None
         gaps[name] = gap
-    return with_former_names(gaps)
+    return with_both_names(gaps)
 
 
 def correct(scenes: Sequence[Document]) -> None:
@@ -283,7 +283,7 @@ def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]
         v = _crossed(table, name)
         gap = None if v is None else difference_interval({"": v[:-1]}, {"": v[-1:]})[0]
         gaps[name] = gap and gap.to_dict()
-    return with_former_names(gaps)
+    return with_both_names(gaps)
 
 
 # How a policy's risk fits the ends of its episodes

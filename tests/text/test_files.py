@@ -1,5 +1,6 @@
 """Files are written whole, by any number of processes at once."""
 
+import json
 import os
 import re
 import threading
@@ -10,6 +11,7 @@ import pytest
 
 from flipperctl.env.metrics import RENAMED
 from flipperctl.errors import OutputError, RequestError, WriteError
+from flipperctl.evaluation.stored import read_document
 from flipperctl.text.files import (
     OutputKind,
     at_home,
@@ -142,3 +144,10 @@ def test_a_table_of_an_older_version_has_todays_names(tmp_path: Path) -> None:
     assert row == {"seed": "1", "pitch_variation_decisions": "0.5"}
     with pytest.raises(RequestError, match="there is no column 'pitch_variation'"):
         read_csv(table, ("pitch_variation",), RENAMED)
+
+
+def test_a_document_of_an_older_version_has_todays_names(tmp_path: Path) -> None:
+    scene = {"terrain": "step", "pitch_variation": {"mean": 1.0}}
+    (tmp_path / "summary.json").write_text(json.dumps({"scenes": [scene]}))
+    (read,) = read_document(tmp_path)["scenes"]
+    assert read == scene | {"pitch_variation_decisions": {"mean": 1.0}}

@@ -192,6 +192,7 @@ class _Job:
     config: TrainConfig | None
     """The checked configuration of a single run, so that nothing is merged twice."""
     film: Path | None
+    """File for a film of the policy at each validation, if one is wanted."""
 
     def run(self, composed: Any) -> float | None:
         """Train with the composed configuration; return the objective of a search."""
@@ -229,9 +230,9 @@ class _Job:
             run = training_run.start(
                 config, directory, reports(), keep_more=keep, numbered=numbered
             )
-            if self.film is not None:
-                film_training(run.directory, config, self.film, print_note)
         print_best(run)
+        if self.film is not None:
+            film_training(run.directory, config, self.film, print_note)
         train = config.train
         return objective(run.summary["best"], train.validation_episodes, train.best_by)
 
