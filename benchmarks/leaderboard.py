@@ -29,14 +29,22 @@ def leaderboard(files: Sequence[BenchmarkResult]) -> Table:
     return table([document(r, scores(r, find_benchmark(r.benchmark))) for r in files], scenes=False)
 
 
+def _name(track: str, scene: str) -> str:
+    """Return the name of a scene in tables of all tracks."""
+    return scene if track == "plane" else f"{scene}, {track}"
+
+
 def by_scene(files: Sequence[BenchmarkResult]) -> Table:
     """Return the score of each method on each scene, with intervals."""
     played = {r.method: scores(r, find_benchmark(r.benchmark)) for r in files}
     methods = sorted(played, key=lambda method: played[method]["plane", ""].ratio.mean)
+    scenes = {at: None for of_method in played.values() for at in of_method if at[1]}
     rows = [
-        {"scene": scene, **{m: played[m][track, scene].ratio.to_dict() for m in methods}}
-        for track, scene in played[methods[0]]
-        if scene
+        {
+            "scene": _name(*at),
+            **{m: played[m][at].ratio.to_dict() for m in methods if at in played[m]},
+        }
+        for at in scenes
     ]
     return Table((Column("scene", "scene"), *(Column(m, f"`{m}`", 2) for m in methods)), rows)
 
@@ -46,7 +54,7 @@ def crossings(files: Sequence[BenchmarkResult]) -> Table:
     methods = {r.method: r for r in files if r.method in _SHOWN}
     rows = []
     for at, scene in enumerate(methods[_SHOWN[0]].scenes):
-        row = {"ground": scene.scene}
+        row = {"ground": _name(scene.track, scene.scene)}
         for name in _SHOWN:
             (played,) = methods[name].scenes[at].policies
             pairs = zip(played.outcomes, played.pitch_variation_100hz, strict=True)

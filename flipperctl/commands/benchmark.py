@@ -152,8 +152,14 @@ def _play(entries: Sequence[Entry], output: Path) -> Result:
         interrupts("finishing the episode; Ctrl-C again stops at once") as stop,
     ):
         store = FolderStore(output / FOLDER, print_note)
-        plan = Plan(tuple(entries))
-        result = evaluate(plan, progress=progress, stop=stop, store=store, planned=progress.plan)
+        result = evaluate(
+            Plan(tuple(entries)),
+            progress=progress,
+            explain=False,
+            stop=stop,
+            store=store,
+            planned=progress.plan,
+        )
     if (error := result.error()) is not None:
         raise error
     if result.interruption is not None:

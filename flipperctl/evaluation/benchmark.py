@@ -64,10 +64,13 @@ class Benchmark(_Frozen):
     about: str
     tracks: dict[str, Track] = Field(min_length=1)
 
-    @property
-    def digest(self) -> str:
-        """Hash of all scenes and prices."""
-        return _hash(self.model_dump(exclude={"name"}))
+    def digest(self, tracks: Iterable[str]) -> str:
+        """Return a hash of what is played on some tracks: scenes, seeds, episodes and rules.
+
+        Prices are not part of it, since a result file states episodes and no scores.
+        """
+        played = [[s.label, s.words, s.scene.strongest] for s in self.sections(tracks)]
+        return _hash([self.name, played])
 
     def sections(self, tracks: Iterable[str], salt: str = "") -> list[Section]:
         """Return the scenes of some tracks, or of all without any, with the seeds of an edition.
@@ -201,7 +204,7 @@ class BenchmarkResult(_Frozen):
     benchmark: str
     """Name of the version."""
     scenes_hash: str
-    """Hash of the scenes that were played."""
+    """Hash of the tracks that were played; see ``Benchmark.digest``."""
     edition: str
     method: str
     policies: tuple[PolicyEntry, ...]
@@ -223,10 +226,11 @@ class BenchmarkResult(_Frozen):
             raise RequestError(f"{where}: it is of version {self.benchmark}; give its --version")
         if self.content_hash != self._content():
             raise RequestError(f"{where}: its content was changed after it was written")
-        if self.scenes_hash != benchmark.digest:
+        tracks = {part.track: None for part in self.scenes}
+        if self.scenes_hash != benchmark.digest(tracks):
             raise RequestError(f"{where}: its scenes are not those of benchmark {self.benchmark}")
         # Whole tracks alone make a score: every scene, every policy, every episode
-        sections = benchmark.sections({part.track: None for part in self.scenes})
+        sections = benchmark.sections(tracks)
         stated = [(part.track, part.scene, part.sizes) for part in self.scenes]
         whole = [
             (s.track, s.name, [benchmark.tracks[s.track].episodes] * 3 * (len(self.policies) + 1))
@@ -272,7 +276,7 @@ def results_of(
             versions |= versions_here(rule.entry.config)
         file = BenchmarkResult(
             benchmark=benchmark.name,
-            scenes_hash=benchmark.digest,
+            scenes_hash=benchmark.digest({section.track: None for section in sections}),
             edition=edition(salt),
             method=method,
             policies=tuple(policies),

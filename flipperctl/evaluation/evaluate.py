@@ -115,6 +115,7 @@ def evaluate(
     references: Sequence[PolicySource] = (),
     progress: Progress = no_progress,
     record: bool = False,
+    explain: bool = True,
     stop: Callable[[], bool] = lambda: False,
     store: EpisodeStore | None = None,
     planned: Callable[[int], None] = lambda episodes: None,
@@ -123,10 +124,11 @@ def evaluate(
 
     ``references``, controllers or policies of the plan, determine which episodes can be crossed at
     all: each plays those that no earlier one crossed. ``record``: whether rows include the
-    decisions. Once ``stop``, called before each episode, returns True, the evaluation ends with the
-    finished episodes. Episodes that the ``store`` has are not played again; new ones are added to
-    it. ``planned`` is called once with the number of episodes that the store lacks. A policy that
-    fails on a scene is listed in ``failures``; if every policy fails, the first error is raised.
+    decisions. ``explain``: whether failures are played again for their cause. Once ``stop``, called
+    before each episode, returns True, the evaluation ends with the finished episodes. Episodes that
+    the ``store`` has are not played again; new ones are added to it. ``planned`` is called once
+    with the number of episodes that the store lacks. A policy that fails on a scene is listed in
+    ``failures``; if every policy fails, the first error is raised.
     """
     if not plan.entries:
         raise ValueError("an evaluation needs at least one scene")
@@ -147,7 +149,8 @@ def evaluate(
             label = f"{entry.terrain}, {entry.named}" if named else entry.terrain
             rows = scene.play(entry.source, label, record=record and not entry.is_baseline)
             if rows and (plan.has_methods or not entry.is_baseline):
-                rows = scene.with_references(scene.with_causes(rows), plan, references)
+                rows = scene.with_causes(rows) if explain else rows
+                rows = scene.with_references(rows, plan, references)
             if rows:
                 results.append(Played(entry, rows, player.identity(entry.source)))
     # Policies that fail are listed; nothing but failures is an error.

@@ -22,6 +22,24 @@ def test_every_scene_of_every_edition_has_episodes_of_its_own() -> None:
         assert len({section.words[-2] for section in sections}) == len(sections)
 
 
+def test_a_track_keeps_its_hash_while_another_track_or_a_price_changes() -> None:
+    scene = frozen.Scene(words="terrain=step", strongest="okada", price=7.0)
+
+    def hashes(**changes: object) -> list[str]:
+        scenes = {"steps": scene.model_copy(update=changes)}
+        tracks = {
+            "near": frozen.Track(episodes=5, scenes={"steps": scene}),
+            "far": frozen.Track(episodes=5, scenes=scenes),
+        }
+        version = frozen.Benchmark(about="", tracks=tracks)
+        return [version.digest(chosen) for chosen in (["near"], ["far"], ["near", "far"])]
+
+    assert hashes() == hashes(price=8.0)
+    for changes in ({"words": "terrain=ramp"}, {"strongest": "level"}):
+        equal = [a == b for a, b in zip(hashes(), hashes(**changes), strict=True)]
+        assert equal == [True, False, False]
+
+
 def test_a_failure_costs_the_scenes_price_and_a_rule_against_itself_is_exactly_one() -> None:
     rule = _played([1.0, 2.0, 3.0, 0.5, 1.5], [False, False, True, False, False])
     np.testing.assert_array_equal(rule.costs(7.0), [1.0, 2.0, 7.0, 0.5, 1.5])
