@@ -24,12 +24,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Robot
+from flipperctl.api.jit import cached
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.plugging import plugins
 from flipperctl.process import entry
 from flipperctl.rollout.episode import EvaluationSeeds
 from flipperctl.sim.ground import inflated
-from flipperctl.sim.jit import cached
 
 _SPACING = 0.005
 """Distance of the places at which the ground is known [m]."""

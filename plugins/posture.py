@@ -3,8 +3,9 @@
 A robot that is geometry alone carries no load and has nubot's masses and speed.
 """
 
-from dataclasses import dataclass
-from functools import reduce
+import math
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,20 +56,17 @@ def tipping_rise(across: FloatArray, above: FloatArray) -> FloatArray:
     return rise
 
 
-@dataclass(frozen=True)
-class Contacts:
+class Contacts(NamedTuple):
     """Where robots touch the ground in M poses, in each frame L."""
 
     front: FloatArray
     """Ends of the front flippers' axles, (M, 2) [m]."""
     rear: FloatArray
     """Ends of the rear flippers' axles, (M, 2) [m]."""
-    x: FloatArray
-    """Points of the ground near the robot, (M, P) [m]; NaN stands for no point."""
-    z: FloatArray
-    """(M, P) [m]"""
+    outermost: FloatArray
+    """The foremost and the rearmost point that the robot touches, (2, M, 2) [m]; 0 in the air."""
     touching: NDArray[np.bool_]
-    """Whether the robot touches the point, (M, P)."""
+    """Whether the robot touches the ground, (M,)."""
 
 
 def contacts(
@@ -87,22 +85,72 @@ def contacts(
     chassis, front, rear = directions
     ahead = robot.hinge_offset * chassis
     front, rear = ahead + robot.flipper_axle * front, -ahead - robot.flipper_axle * rear
-    reach = robot.reach + touch
-    x, z = profile.around_each(position[:, 0], reach, far=True)
-    x, z = x - position[:, :1], z - position[:, 1:]
-    # The axes of the three capsules
-    axles = ((-ahead, ahead), (ahead, front), (rear, -ahead))
-    gap = np.sqrt(reduce(np.minimum, (_squares(a, b, x, z) for a, b in axles)))
-    return Contacts(front, rear, x, z, gap - robot.track_radius <= touch)  # never for NaN
+    # The axes of the three capsules, (3, M, 2)
+    begin = np.array([-ahead, ahead, rear])
+    along = np.array([ahead, front, -ahead]) - begin
+    unit = along / (along * along).sum(axis=-1, keepdims=True)
+    # The ground within reach, as indices of the profile's points on endless level ground
+    reach, x = robot.reach + touch, position[:, 0]
+    first, last = profile.indices(x - reach), profile.indices(x + reach)
+    outermost, touching = np.zeros((2, len(x), 2)), np.zeros(len(x), np.bool_)
+    search = _compiled()
+    search(
+        *(profile.cloud, profile.spacing, first, last, np.array(position), begin, along, unit),
+        *(robot.track_radius, touch, outermost, touching),
+    )
+    return Contacts(front, rear, outermost, touching)
 
 
-def _squares(begin: FloatArray, end: FloatArray, x: FloatArray, z: FloatArray) -> FloatArray:
-    """Return the squared distances (M, P) [m²] of points from each row's segment, ends (M, 2)."""
-    along = end - begin
-    x, z = x - begin[:, :1], z - begin[:, 1:]
-    # The nearest point of the segment, as a fraction of its length
-    unit = along / (along * along).sum(axis=1, keepdims=True)
-    fraction = np.clip(x * unit[:, :1] + z * unit[:, 1:], 0.0, 1.0)
-    x, z = x - fraction * along[:, :1], z - fraction * along[:, 1:]
-    squares: FloatArray = x * x + z * z
-    return squares
+@cache
+def _compiled() -> Any:
+    from numba import njit  # takes a third of a second to import
+
+    from flipperctl.api.jit import cached
+
+    return cached(njit)(_search)
+
+
+def _search(
+    cloud: FloatArray,
+    spacing: float,
+    first: NDArray[np.intp],
+    last: NDArray[np.intp],
+    position: FloatArray,
+    begin: FloatArray,
+    along: FloatArray,
+    unit: FloatArray,
+    radius: float,
+    touch: float,
+    outermost: FloatArray,
+    touching: NDArray[np.bool_],
+) -> None:
+    """Fill in ``outermost`` and ``touching`` of ``Contacts``.
+
+    From the first point to the one before the last, each pose is searched from both ends. Points
+    before and past the ``cloud`` (P, 2) go on ``spacing`` [m] apart. The capsules' axes are
+    ``begin`` and ``along``, (3, M, 2) [m]; ``unit`` is ``along`` over its squared length.
+    """
+    for pose in range(len(position)):
+        for end in range(2):
+            for step in range(last[pose] - first[pose]):
+                index = first[pose] + step if end else last[pose] - 1 - step
+                inside = min(max(index, 0), len(cloud) - 1)
+                x = cloud[inside, 0] + (index - inside) * spacing - position[pose, 0]
+                z = cloud[inside, 1] - position[pose, 1]
+                # Of a vertical face, the lowest point in the order of the outline counts.
+                if touching[pose] and end == 0 and x < outermost[0, pose, 0]:
+                    break
+                least = math.inf
+                for axis in range(3):
+                    ahead, above = x - begin[axis, pose, 0], z - begin[axis, pose, 1]
+                    # The nearest point of the axis, as a fraction of its length
+                    share = ahead * unit[axis, pose, 0] + above * unit[axis, pose, 1]
+                    share = min(max(share, 0.0), 1.0)
+                    ahead -= share * along[axis, pose, 0]
+                    above -= share * along[axis, pose, 1]
+                    least = min(least, ahead * ahead + above * above)
+                if math.sqrt(least) - radius <= touch:
+                    touching[pose] = True
+                    outermost[end, pose, 0], outermost[end, pose, 1] = x, z
+                    if end:
+                        break

@@ -22,7 +22,8 @@ def compile_environment() -> None:
     for sim in ("planar", "mujoco"):
         env = FlipperEnv("flat", sim=sim, **{"perception.occlusion": True})
         env.reset(seed=0)
-        env.step(4)
+        while not any(env.step(4)[2:4]):  # the measures of an episode are compiled, too
+            pass
 
 
 if __name__ == "__main__":

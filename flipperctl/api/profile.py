@@ -8,13 +8,12 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.core import FloatArray
-
-_SPACING = 0.02  # distance of the points of a profile's cloud along its outline [m]
 
 
 class Surface(ABC):
@@ -73,6 +72,9 @@ class Profile:
             or run_out is not finite.
     """
 
+    spacing: ClassVar[float] = 0.02
+    """Distance of the points of ``cloud`` along the outline [m]."""
+
     points: FloatArray
     label: str = ""
     surface: Surface | None = None
@@ -119,12 +121,12 @@ class Profile:
         object.__setattr__(self, "surface", surface)
         object.__setattr__(self, "drawn", {} if drawn is None else drawn)
 
-    @property
+    @cached_property
     def start(self) -> float:
         """World x of the first edge [m]."""
         return float(self.points[0, 0])
 
-    @property
+    @cached_property
     def end(self) -> float:
         """World x of the last edge [m]."""
         return float(self.points[-1, 0])
@@ -190,7 +192,7 @@ class Profile:
     @cached_property
     def cloud(self) -> FloatArray:
         """Points every 0.02 m of the outline with 3 m of level ground on both sides, (P, 2) [m]."""
-        return self.sample(_SPACING, 3.0)
+        return self.sample(self.spacing, 3.0)
 
     def around(self, x: float, reach: float, *, far: bool = False) -> FloatArray:
         """Return points of the ground within ``reach`` [m] of x, (P', 2) in world [m].
@@ -204,11 +206,10 @@ class Profile:
         if not far or (along[0] <= begin and end <= along[-1]):
             return self.cloud[first:last]
         # Endless level ground continues the cloud at its spacing.
-        ends = np.array([begin, end]), np.array([first, last])
-        index = np.arange(*_continued(self.cloud[:, 0], *ends))
+        index = np.arange(*self.indices(np.array([begin, end])))
         inside = np.clip(index, 0, len(along) - 1)
         points = self.cloud[inside]
-        points[:, 0] += (index - inside) * _SPACING
+        points[:, 0] += (index - inside) * self.spacing
         return points
 
     def around_each(
@@ -224,34 +225,36 @@ class Profile:
         # Each row is a slice of the cloud, padded with the index of a NaN at its end.
         along = self.cloud[:, 0]
         begin, end = np.subtract(x, reach), np.add(x, reach)
-        first, last = np.searchsorted(along, begin), np.searchsorted(along, end)
-        # Endless level ground continues the cloud at its spacing.
-        beyond = far and bool(((begin < along[0]) | (end > along[-1])).any())
-        if beyond:
-            first, last = _continued(along, begin, first), _continued(along, end, last)
+        indices = self.indices if far else along.searchsorted
+        first, last = indices(begin), indices(end)
+        beyond = far and bool((first < 0).any() or (last > len(along)).any())
         counts = np.maximum(0, last - first)
         step = np.arange(counts.max(initial=0))
         index, valid = first[:, None] + step, step < counts[:, None]
         inside = np.where(valid, np.clip(index, 0, len(along) - 1) if beyond else index, len(along))
         points: FloatArray = self._columns.take(inside, axis=1)
         if beyond:
-            points[0] += (index - inside) * _SPACING
+            points[0] += (index - inside) * self.spacing
         return points
+
+    def indices(self, x: FloatArray) -> NDArray[np.intp]:
+        """Return the index in ``cloud`` of the first point that is not before each x, (M,).
+
+        Endless level ground continues the cloud at its ``spacing``, with indices below 0 and from P
+        on.
+        """
+        along = self.cloud[:, 0]
+        index = along.searchsorted(x)
+        for end, beyond in ((0, x < along[0]), (len(along) - 1, x > along[-1])):
+            if beyond.any():
+                steps = np.rint((x - along[end]) / self.spacing).astype(
+                    np.intp
+                )  # to the nearest point
+                steps += along[end] + steps * self.spacing < x
+                index = np.where(beyond, end + steps, index)
+        return index
 
     @cached_property
     def _columns(self) -> FloatArray:
         """X and z of ``cloud``, and NaN at their end, (2, P + 1) [m]."""
         return np.vstack([self.cloud, [math.nan, math.nan]]).T.copy()
-
-
-def _continued(along: FloatArray, x: FloatArray, index: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the index of the first point that is not before each x, (M,), on endless ground.
-
-    ``index`` is the one in ``along``, x of the points (P,) [m]. Level ground goes on past both ends
-    at the points' spacing, with indices below 0 and from P on.
-    """
-    for end, at in ((0, x < along[0]), (len(along) - 1, x > along[-1])):
-        steps = np.rint((x - along[end]) / _SPACING).astype(np.intp)  # to the nearest point
-        steps += along[end] + steps * _SPACING < x
-        index = np.where(at, end + steps, index)
-    return index

@@ -109,11 +109,8 @@ class _Term:
 
     def value(self, t: Transition) -> float:
         """Return the checked value of one decision by the term's form for one [-]."""
-        value = self.term(t)
-        if isinstance(value, np.float64):
-            value = value.item()
-        elif type(value) is not float:
-            value = self._to_float(value, t)
+        returned = self.term(t)
+        value = float(returned) if isinstance(returned, float) else self._to_float(returned, t)
         if not self._allows(value):
             raise self._value_error(value, t, "__call__")
         return value

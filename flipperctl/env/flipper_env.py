@@ -29,6 +29,7 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
 from flipperctl.config.reward_sum import RewardSum
+from flipperctl.core.building import built
 from flipperctl.core.targets import ALLOWED, Action, ActionKind, as_action
 from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
@@ -325,7 +326,8 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         after, move = self.state, ACTIONS[self.drive.action]
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
         pitches, poses = self._pitches.append(after.pitch), self.drive.poses
-        self.transition = Transition(
+        self.transition = built(
+            Transition,
             before=before,
             after=after,
             pitches=pitches,

@@ -153,24 +153,27 @@ class EpisodeMetrics:
     def __init__(self, measures: Mapping[str, Measure]) -> None:
         self._measures = measures
         self._episode: list[Transition] = []
-        self._parts: dict[str, float] = {}
+        self._rewards: list[Mapping[str, float]] = []
 
     def add(self, t: Transition, parts: Mapping[str, float]) -> None:
         """Add one decision with the weighted values of its reward terms."""
         self._episode.append(t)
-        for name, value in parts.items():
-            self._parts[name] = self._parts.get(name, 0.0) + value
+        self._rewards.append(parts)
 
     def summary(self) -> dict[str, float]:
         """Return numbers by name: each measure, the return, and each reward term's part of it."""
+        parts = dict.fromkeys(self._rewards[0], 0.0)
+        for rewards in self._rewards:
+            for name, value in rewards.items():
+                parts[name] += value
         return {
             **{
                 name: _value(measure, self._episode)
                 for name, measure in self._measures.items()
                 if applies(measure, self._episode)
             },
-            "return": sum(self._parts.values()),
-            **{f"reward_{name}": value for name, value in self._parts.items()},
+            "return": sum(parts.values()),
+            **{f"reward_{name}": value for name, value in parts.items()},
         }
 
 
@@ -189,19 +192,21 @@ class Pitches:
     """
 
     def __init__(self) -> None:
-        self._values = np.empty(128)
         self._count = 0
+        self._reserve(np.empty(128))
+
+    def _reserve(self, values: FloatArray) -> None:
+        self._values, self._readable = values, values.view()
+        self._readable.flags.writeable = False
 
     def append(self, pitch: float) -> FloatArray:
         """Add a pitch; return all so far, read-only, (T,) [rad]."""
         # Doubling keeps appending cheap; earlier views keep the old array.
         if self._count == len(self._values):
-            self._values = np.concatenate([self._values, np.empty(self._count)])
+            self._reserve(np.concatenate([self._values, np.empty(self._count)]))
         self._values[self._count] = pitch
         self._count += 1
-        view = self._values[: self._count]
-        view.flags.writeable = False
-        return view
+        return self._readable[: self._count]
 
 
 def _make(cls: type[Plugin]) -> Measure:

@@ -5,7 +5,6 @@ In: true states, at samples and at decisions. Out: perceptions, which include ea
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +25,7 @@ from flipperctl.api import (
     Sensor,
     World,
 )
+from flipperctl.core.building import built
 from flipperctl.core.observation import assemble, bin_heights
 from flipperctl.env.drive import Drive
 from flipperctl.env.placed import mounted_parts, require_sensed_finite
@@ -52,8 +52,7 @@ class Perceiver:
         self._robot, self._friction = robot, friction
         noise, self._controller_rng = rngs
         self._sensor, self._layout = sensor, sensor.layout
-        self._recent: deque[np.ndarray[tuple[int], np.dtype[np.float32]]]
-        self._recent = deque(maxlen=MAX_HISTORY)
+        self._recent: tuple[np.ndarray[tuple[int], np.dtype[np.float32]], ...] = ()
         parts = mounted_parts(sensor, mounting, robot, checked=checked)
         instruments, self._estimator, self._senses = parts
         # The first instrument draws from the sensor's generator, further ones from its children.
@@ -122,11 +121,12 @@ class Perceiver:
             points, highest = ground.points, layout.highest
             heights = bin_heights(points, layout.bins, layout.bin_width, highest=highest)
         observation = assemble(heights, front=angles.front, rear=angles.rear, pitch=angles.pitch)
-        # The history shares read-only copies; the newest array is the caller's.
-        earlier = tuple(self._recent)[1 - MAX_HISTORY :]
-        self._recent.append(observation.copy())
-        self._recent[-1].setflags(write=False)  # later perceptions share it
-        return Perception(
+        # Later perceptions share a read-only copy; the newest array is the caller's.
+        earlier, shared = self._recent[1 - MAX_HISTORY :], observation.copy()
+        shared.setflags(write=False)
+        self._recent = (*earlier, shared)
+        return built(
+            Perception,
             observation=observation,
             points=ground.points.copy(),
             pitch=angles.pitch,
@@ -152,18 +152,17 @@ class Perceiver:
         """Return a snapshot of memories, generators and recent observations for ``load``."""
         parts = [(part.save(), rng.bit_generator.state) for _, part, rng, _ in self._parts]
         random = self._controller_rng.bit_generator.state
-        return parts, random, self._estimator.save(), tuple(self._pending), tuple(self._recent)
+        return parts, random, self._estimator.save(), tuple(self._pending), self._recent
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        parts, random, estimator, pending, recent = saved
+        parts, random, estimator, pending, self._recent = saved
         for (_, part, rng, _), (memory, state) in zip(self._parts, parts, strict=True):
             part.load(memory)
             rng.bit_generator.state = state
         self._controller_rng.bit_generator.state = random
         self._estimator.load(estimator)
         self._pending = list(pending)
-        self._recent = deque(recent, maxlen=MAX_HISTORY)
 
 
 def _samples_between(instrument: Instrument) -> int | None:

@@ -164,6 +164,13 @@ def require_sensed_finite(
     sensor: Sensor, senses: object, ground: SensedGround, angles: SensedAngles
 ) -> None:
     """Refuse numbers that are not finite, which the object ``senses`` of the sensor returned."""
+    total = angles.front + angles.rear + angles.pitch
+    for array in (ground.points, ground.heights, ground.position):
+        if array is not None:
+            total += float(np.vdot(array, array))
+    # Large numbers may overflow in the sum; each is looked at only then.
+    if math.isfinite(total):
+        return
     numbers = ("points", "heights", "position")
     faults = [name for name in numbers if not _are_finite(getattr(ground, name))]
     if not math.isfinite(angles.front + angles.rear + angles.pitch):

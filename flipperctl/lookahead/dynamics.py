@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
-from flipperctl.sim.jit import cached
+from flipperctl.api.jit import cached
 
 STATE = 10
 """Length of a state."""

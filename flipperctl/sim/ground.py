@@ -14,8 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, Robot, Start
+from flipperctl.api.jit import cached
 from flipperctl.core import ground_map
-from flipperctl.sim.jit import cached
 
 kept_points = cached(njit)(ground_map.kept_points)
 

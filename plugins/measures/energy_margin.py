@@ -7,6 +7,7 @@ import numpy as np
 from flipperctl.api import FloatArray, Transition, measure
 
 from ..posture import centre_of_mass, contacts, tipping_rise
+from .latest import stored
 
 _TOUCH = 0.01
 """Largest gap to the ground that counts as contact [m]."""
@@ -27,38 +28,25 @@ def energy_margin_min(episode: Sequence[Transition]) -> float:
     return float(margins(episode).min())
 
 
+@stored
 def margins(episode: Sequence[Transition]) -> FloatArray:
     """Return the normalised energy stability margin after each decision, (M,) [m].
 
     It is the ``tipping_rise`` over the foremost or the rearmost point of contact, whichever is
     less, and 0 without a contact on both sides of the centre. The centre of mass includes the
-    load. The last episode's margins are stored, since two measures ask for them.
+    load.
     """
-    global _latest
-    latest = _latest  # which another thread may replace meanwhile
-    if latest is None or latest[0] is not episode[-1] or len(latest[1]) != len(episode):
-        _latest = latest = episode[-1], _computed(episode)
-    return latest[1]
-
-
-_latest: tuple[Transition, FloatArray] | None = None
-"""Last transition and margins of the last episode."""
-
-
-def _computed(episode: Sequence[Transition]) -> FloatArray:
     profile, robot, states = episode[0].profile, episode[0].robot, [t.after for t in episode]
-    # All poses at once, since the ground around each takes the most time to find
-    position = np.array([s.position for s in states])
-    pitch, front, rear = np.array([(s.pitch, s.front, s.rear) for s in states]).T
+    rows = [(*s.position.tolist(), s.pitch, s.front, s.rear) for s in states]
+    x, z, pitch, front, rear = np.array(rows).T
+    position = np.column_stack([x, z])
     angles = np.array([pitch, pitch + front, pitch - rear])
     forward, front, rear = np.stack([np.cos(angles), np.sin(angles)], axis=-1)  # each (M, 2)
     poses = contacts(profile, robot, position, (forward, front, rear), _TOUCH)
     centre = centre_of_mass(robot, forward, poses.front, poses.rear)
     # Tipping ahead over the foremost contact, and back over the rearmost one
-    rows, sides = np.arange(len(states)), np.array([[1.0], [-1.0]])
-    outermost = np.where(poses.touching, sides[..., None] * poses.x, -np.inf).argmax(axis=-1)
-    across = sides * (poses.x[rows, outermost] - centre[:, 0])
-    above = centre[:, 1] - poses.z[rows, outermost]
-    stands = poses.touching[rows, outermost] & (across > 0)
+    x, z = poses.outermost.transpose(2, 0, 1)  # each (2, M)
+    across, above = np.array([[1.0], [-1.0]]) * (x - centre[:, 0]), centre[:, 1] - z
+    stands = poses.touching & (across > 0)
     least: FloatArray = np.where(stands, tipping_rise(across, above), 0.0).min(axis=0)
     return least

@@ -5,12 +5,15 @@ The roll is 0 in an engine of the side plane.
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import accumulate, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from flipperctl.api import FloatArray, Transition, measure
 
 from ..posture import with_masses
+from .latest import stored
 
 _OVERTURNED = math.pi / 3
 """Absolute pitch of an overturned robot: the paper's limit [rad]."""
@@ -56,8 +59,7 @@ def standstill(episode: Sequence[Transition]) -> float:
     """
     period = episode[0].sample_period
     limit = _SLOW * with_masses(episode[0].robot).track_speed * period  # [m]
-    steps = _steps(episode)
-    return period * int(np.count_nonzero(np.hypot(steps[:, 0], steps[:, 1]) < limit))
+    return period * int(np.count_nonzero(np.hypot(*_motion(episode).steps) < limit))
 
 
 @measure("largest_impact", unit="m/s", better="lower", in_tables=False)
@@ -67,8 +69,8 @@ def largest_impact(episode: Sequence[Transition]) -> float:
     The velocities are means over samples 10 ms apart. The mass of the robot times this over 10 ms
     is the mean force of the impact.
     """
-    change = np.diff(_steps(episode) / episode[0].sample_period, axis=0)
-    return float(np.hypot(change[:, 0], change[:, 1]).max(initial=0.0))
+    x, z = _motion(episode).steps / episode[0].sample_period
+    return float(np.hypot(x[1:] - x[:-1], z[1:] - z[:-1]).max(initial=0.0))
 
 
 @measure("pitch_variation_decisions", unit="rad", reached_only=True, better="lower")
@@ -80,14 +82,15 @@ def pitch_variation(episode: Sequence[Transition]) -> float:
 @measure("pitch_variation_100hz", unit="rad", reached_only=True, better="lower")
 def pitch_variation_100hz(episode: Sequence[Transition]) -> float:
     """θ̂_R between poses 10 ms apart, motion within decisions included [rad]."""
-    pitches = (t.path[:, 2] for t in episode)
-    return _total(float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1]))) for pitch in pitches)
+    motion = _motion(episode)
+    changes = np.abs(motion.pitches[1:] - motion.pitches[:-1])
+    return _total(float(np.add.reduce(changes[i : j - 1])) for i, j in pairwise(motion.bounds))
 
 
 @measure("max_pitch", unit="rad", better="lower")
 def max_pitch(episode: Sequence[Transition]) -> float:
     """Largest absolute pitch, over poses 10 ms apart [rad]."""
-    return float(np.maximum.reduce(np.abs(_pitches(episode))))
+    return float(np.abs(_motion(episode).pitches).max())
 
 
 @measure("pitch_reserve", unit="rad", better="higher", in_tables=False)
@@ -96,7 +99,7 @@ def pitch_reserve(episode: Sequence[Transition]) -> float:
 
     It is 0 or less if the robot overturned.
     """
-    return _OVERTURNED - float(np.abs(_pitches(episode)).max())
+    return _OVERTURNED - float(np.abs(_motion(episode).pitches).max())
 
 
 @measure("max_roll", unit="rad", better="lower", in_tables=False)
@@ -119,11 +122,20 @@ def _total(values: Iterable[float]) -> float:
     return total
 
 
-def _pitches(episode: Sequence[Transition]) -> FloatArray:
-    return np.concatenate([t.path[:, 2] for t in episode])
+class _Motion(NamedTuple):
+    """The paths of an episode's decisions, joined."""
+
+    pitches: FloatArray  # of all poses in order, (P,) [rad]
+    bounds: list[int]  # where each decision's poses begin among them, and where the last ones end
+    steps: FloatArray  # motion of the chassis centre from sample to sample, (2, S) [m]
 
 
-def _steps(episode: Sequence[Transition]) -> FloatArray:
-    """Return the motion of the chassis centre from sample to sample, (S, 2) [m]."""
-    poses = [episode[0].path[:1], *(t.path[1:] for t in episode)]
-    return np.diff(np.concatenate(poses)[:, :2], axis=0)
+@stored
+def _motion(episode: Sequence[Transition]) -> _Motion:
+    x, z, pitches = np.concatenate([t.path for t in episode]).T.copy()
+    bounds = [0, *accumulate(len(t.path) for t in episode)]
+    # A decision's first pose is the last pose of the one before, which counts once.
+    once = np.ones(len(pitches), np.bool_)
+    once[bounds[1:-1]] = False
+    centre = np.stack([x[once], z[once]])
+    return _Motion(pitches, bounds, centre[:, 1:] - centre[:, :-1])

@@ -42,14 +42,13 @@ class Stability(RewardTerm):
         forward, front, rear = map(_directions, angles)
         poses = contacts(ts.profile, robot, state.position, (forward, front, rear), self.touch)
         # The support lies between the outermost contacts.
-        first = np.where(poses.touching, poses.x, np.inf).min(axis=1, initial=np.inf)
-        last = np.where(poses.touching, poses.x, -np.inf).max(axis=1, initial=-np.inf)
+        last, first = poses.outermost[..., 0]
         # Horizontal distance from the chassis' centre: each pair's mass lies halfway along it.
         centre = self.flipper_share * (poses.front[:, 0] + poses.rear[:, 0]) / 2
         x, z = load_offset(robot)
         centre *= 1 - load_share(robot)
         centre += x * forward[:, 0] - z * forward[:, 1]
-        margin = np.minimum(centre - first, last - centre)  # minus infinity in the air
+        margin = np.where(poses.touching, np.minimum(centre - first, last - centre), -np.inf)
         penalty: FloatArray = 1.0 - np.clip(margin, 0.0, self.enough) / self.enough
         return -penalty
 
@@ -76,14 +75,10 @@ class Centring(RewardTerm):
         angles = (state.pitch, state.pitch + state.front, state.pitch - state.rear)
         forward, front, rear = map(_directions, angles)
         poses = contacts(ts.profile, robot, state.position, (forward, front, rear), self.touch)
-        rows, middle = np.arange(len(poses.x)), np.zeros_like(forward)
         # The middle of the support lies between its outermost contacts.
-        for side in (1.0, -1.0):
-            outermost = np.where(poses.touching, side * poses.x, -np.inf).argmax(axis=1)
-            ends = poses.x[rows, outermost], poses.z[rows, outermost]
-            middle += np.column_stack(ends) / 2
+        middle = poses.outermost[0] / 2 + poses.outermost[1] / 2
         away = centre_of_mass(robot, forward, poses.front, poses.rear) - middle
-        distance = np.where(poses.touching.any(axis=1), np.hypot(*away.T), np.inf)
+        distance = np.where(poses.touching, np.hypot(*away.T), np.inf)
         penalty: FloatArray = np.minimum(distance / self.far, 1.0)
         return -penalty
 

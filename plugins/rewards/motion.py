@@ -1,6 +1,6 @@
 """Reward terms of the robot's motion: progress, pitch variation, flippers and impact."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -37,7 +37,7 @@ class Progress(RewardTerm):
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 1]."""
-        moved = t.after.position[..., 0] - t.before.position[..., 0]  # [m]
+        moved = t.after.position.T[0] - t.before.position.T[0]  # [m]
         return limited(moved / self.distance, -1.0, 1.0)
 
 
@@ -56,7 +56,7 @@ class ShapedProgress(Shaping):
 
     def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
         """Return Φ in [-1, 0]: 0 past the last edge, falling linearly with the distance to it."""
-        left = profile.end - state.position[..., 0]  # [m]
+        left = profile.end - state.position.T[0]  # [m]
         return -limited(left / self.distance, 0.0, 1.0)
 
 
@@ -89,7 +89,7 @@ class Swing(RewardTerm):
         pitch = t.path[..., 2]  # (…, S + 1) [rad]
         if self.at_decisions:
             pitch = pitch[..., :: max(1, pitch.shape[-1] - 1)]
-        variation = np.add.reduce(np.abs(pitch[..., 1:] - pitch[..., :-1]), axis=-1)
+        variation = np.add.reduce(abs(pitch[..., 1:] - pitch[..., :-1]), axis=-1)
         return -limited(self.slope * variation, 0.0, 1.0)
 
 
@@ -139,8 +139,8 @@ class Smoothness(RewardTerm):
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]."""
-        change = np.subtract(t.action, t.previous_action)
-        penalty: float = -np.add.reduce(np.abs(change), axis=-1) / 4
+        (front, rear), (last_front, last_rear) = _pairs(t.action), _pairs(t.previous_action)
+        penalty: float = -(abs(front - last_front) + abs(rear - last_rear)) / 4
         return penalty
 
 
@@ -175,3 +175,8 @@ class Impact(RewardTerm):
         velocity = np.concatenate([ends[0], rise, ends[1]], axis=-1)
         peak = np.abs(np.diff(velocity)).max(axis=-1) / t.sample_period
         return -limited(peak - self.tolerance, 0.0, self.worst) / self.worst
+
+
+def _pairs(action: Any) -> Any:
+    """Return the turns of the front and of the rear pair: two integers, or two arrays (M,)."""
+    return action if isinstance(action, tuple) else action.T

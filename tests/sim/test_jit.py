@@ -14,7 +14,7 @@ import numba
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from flipperctl.sim import jit
+from flipperctl.api import jit
 
 MODULES = [
     "flipperctl.lookahead.dynamics",
@@ -53,7 +53,7 @@ def test_the_cache_falls_back_to_the_user_s_folder_and_none(
 STAND_IN = """
 from pathlib import Path
 import numba
-from flipperctl.sim import jit
+from flipperctl.api import jit
 
 jit.PACKAGE = Path(__file__).parent
 jit.SOURCES = (".",)
@@ -66,7 +66,7 @@ def area(width):
 print(area(3), sum(area.stats.cache_hits.values()))
 """
 PARTS = """
-from flipperctl.sim import jit
+from flipperctl.api import jit
 import numba
 LENGTH = {length}
 
@@ -126,7 +126,7 @@ def test_all_that_is_compiled_lies_in_the_digest_s_folders(name: str) -> None:
 
 def test_every_module_of_compiled_code_is_known() -> None:
     root = jit.PACKAGE
-    found = [p for p in root.rglob("*.py") if "from flipperctl.sim.jit import" in p.read_text()]
+    found = [p for p in root.rglob("*.py") if "from flipperctl.api.jit import" in p.read_text()]
     dotted = [".".join(path.relative_to(root.parent).with_suffix("").parts) for path in found]
     assert sorted(dotted) == MODULES
 

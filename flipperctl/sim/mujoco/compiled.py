@@ -17,7 +17,7 @@ from numba import njit, types
 
 from flipperctl.api import FloatArray
 from flipperctl.api.engines import is_over
-from flipperctl.sim.jit import c_function, cached
+from flipperctl.api.jit import c_function, cached
 
 HINGES = slice(7, 11)
 """Places of the flippers' angles in ``qpos``, after those of the free joint."""

@@ -31,8 +31,8 @@ from pymunk._chipmunk_cffi import ffi, lib
 
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Limits, Robot
 from flipperctl.api.engines import is_over
+from flipperctl.api.jit import c_function, cached
 from flipperctl.errors import ConfigError
-from flipperctl.sim.jit import c_function, cached
 
 TRACK, GROUND = 1, 2
 """Collision types of the tracks and of the ground."""
@@ -234,7 +234,8 @@ class _Access(NamedTuple):
 
 
 @cached(njit)
-def _read_states(bodies: _Access) -> None:
+def _read_states(access: tuple[Any, ...]) -> None:
+    bodies = _Access(*access)
     bodies.read[0] = 0
     _read(bodies.chassis, bodies.reading)
     _read(bodies.front, bodies.reading)
@@ -271,7 +272,7 @@ def _run(
     states, (gravity, servos, belts, tolerance, ahead, above) = bodies.states, budget
     stop, finish, top, half, slope, end, level = limits
     # Energy and flipper angles before the first sample
-    _read_states(bodies)
+    _read_states(access)
     energy = kinetic_energy(states, inertia)
     energy += potential_energy(states, inertia, gravity, ahead, above)
     turned, impulses = np.zeros(len(gears)), np.zeros(len(gears))
@@ -289,7 +290,7 @@ def _run(
             for gear in range(len(gears)):
                 impulses[gear] += _impulse(gears[gear])
         # The servos' work, as mean torque times turn of each flipper
-        _read_states(bodies)
+        _read_states(access)
         for gear in range(len(gears)):
             before, turned[gear] = turned[gear], states[STATE * (gear + 1) + 2] - states[2]
             spent[0] += impulses[gear] / (substep * substeps) * abs(turned[gear] - before)
@@ -345,6 +346,7 @@ class CompiledLoop:
         access = _Access(chassis, front, rear, *read.parts, *write.parts)
         self._memory = space, bodies, gears, numbers, read, write  # must live as long as the loop
         self._belt = np.frombuffer(ffi.buffer(numbers))
+        self._access, self._states = tuple(access), access.states
         self._spent = np.zeros(1)
         # No call changes these arguments; the arrays share their memory with the callbacks. A call
         # passes a plain tuple on faster than a named one.
@@ -352,7 +354,7 @@ class CompiledLoop:
             address(space._space),
             substep,
             substeps,
-            tuple(access),
+            self._access,
             np.array([[body.mass, body.moment] for body in bodies]),
             self._belt,
             tuple(budget),
@@ -374,6 +376,11 @@ class CompiledLoop:
         turned, so that braking counts as driving does.
         """
         return float(self._spent[0])
+
+    def states(self) -> FloatArray:
+        """Return the states of chassis, front and rear flippers now, flat; see ``STATE``."""
+        _read_states(self._access)
+        return self._states[: 3 * STATE]
 
     def run_belts(self, speed: float) -> None:
         """Set the speed of the belts' surface along the outline [m/s]."""

@@ -14,8 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, RobotState
+from flipperctl.api.jit import cached
 from flipperctl.core import observation
-from flipperctl.sim.jit import cached
 
 add_heights = cached(njit)(observation.add_heights)
 fill_gaps = cached(njit)(observation.fill_gaps)

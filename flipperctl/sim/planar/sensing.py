@@ -31,6 +31,7 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
+from flipperctl.core.building import built
 from flipperctl.core.observation import bin_heights
 
 
@@ -171,12 +172,15 @@ class TerrainSensor:
         heights = bin_heights(
             points, s.bins, s.bin_width, highest=s.highest, add_heights=self._rays.add_heights
         )
-        angles = SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
+        angles = built(SensedAngles, front=float(front), rear=float(rear), pitch=float(pitch))
         # The robot is where its odometry places it.
         odometry = state.position.copy()
         if self._map_errors is not None:
             odometry[0] += self._map_errors.error
-        return SensedGround(points, heights, filled, position=odometry), angles
+        ground = built(
+            SensedGround, points=points, heights=heights, filled=filled, position=odometry
+        )
+        return ground, angles
 
     def save(self) -> tuple[Any, Any]:
         """Return a snapshot of the seen points and of the map's errors."""

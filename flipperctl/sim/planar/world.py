@@ -24,9 +24,10 @@ from flipperctl.api import (
     RobotState,
     Start,
 )
+from flipperctl.core.building import built
 from flipperctl.sim.ground import height_at
 from flipperctl.sim.planar import Planar
-from flipperctl.sim.planar.compiled import GROUND, TRACK, Belt, Budget, CompiledLoop
+from flipperctl.sim.planar.compiled import GROUND, STATE, TRACK, Belt, Budget, CompiledLoop
 from flipperctl.sim.planar.rays import distances
 
 _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
@@ -201,17 +202,19 @@ class PlanarWorld:
 
     def state(self) -> RobotState:
         """Return the current state."""
-        chassis = self._chassis
-        pitch, velocity = chassis.angle, chassis.velocity
+        states = self._loop.states()
+        velocity = states[3:5].copy()
         if self.robot.payload:  # else the centre of mass is the chassis centre
-            velocity = chassis.velocity_at_local_point((0.0, 0.0))
-        return RobotState(
-            position=np.array([*chassis.position]),
+            velocity = np.array(self._chassis.velocity_at_local_point((0.0, 0.0)))
+        pitch, front, rear = states[2::STATE].tolist()
+        return built(
+            RobotState,
+            position=states[:2].copy(),
             pitch=pitch,
-            front=self._front.angle - pitch,
-            rear=pitch - self._rear.angle,
-            velocity=np.array([*velocity]),
-            pitch_rate=chassis.angular_velocity,
+            front=front - pitch,
+            rear=pitch - rear,
+            velocity=velocity,
+            pitch_rate=float(states[5]),
             time=self._time,
             belts=None if self._share == 1.0 else np.full(2, self._share * self.robot.track_speed),
         )

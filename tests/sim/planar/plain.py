@@ -82,12 +82,15 @@ class PlainLoop:
                 return sample + 1
         return len(poses)
 
+    def states(self) -> FloatArray:
+        states = [(*b.position, b.angle, *b.velocity, b.angular_velocity) for b in self._bodies]
+        return np.array(states).ravel()
+
     def _turned(self) -> list[float]:
         return [b.angle - self._bodies[0].angle for b in self._bodies[1 : 1 + len(self._gears)]]
 
     def _energies(self) -> tuple[float, float]:
-        states = [(*b.position, b.angle, *b.velocity, b.angular_velocity) for b in self._bodies]
-        flat, budget = np.array(states).ravel(), self._budget
+        flat, budget = self.states(), self._budget
         potential = potential_energy(
             flat, self._inertia, budget.gravity, budget.ahead, budget.above
         )
