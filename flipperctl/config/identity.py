@@ -21,6 +21,7 @@ from pydantic import BaseModel
 
 from flipperctl.api import Plugin, Range
 from flipperctl.config.resolver import nested_plugins, to_dict
+from flipperctl.errors import ConfigError
 from flipperctl.plugging import guard
 
 _OWN = ("flipperctl", "flipperctl_plugins")
@@ -67,7 +68,8 @@ def _ends(owner: str, name: str) -> tuple[str, str]:
 
 def read_files(plugin: Plugin) -> tuple[Path, ...]:
     """Return the files that the plugin reads, and every path in its settings."""
-    listed: object = plugin.files_read()
+    with guard.refusing(plugin, "files_read", ConfigError):
+        listed: object = plugin.files_read()
     files = tuple(listed) if isinstance(listed, Iterable) else (listed,)
     if not all(isinstance(file, Path) for file in files):
         text = f"returned {guard.short_repr(listed)}; allowed: Paths"

@@ -39,7 +39,6 @@ MESHES = (".stl", ".obj", ".dae")
 STATING = (".tif", ".tiff", ".dae")
 """Suffixes of files that may state their unit."""
 SUFFIXES = tuple(dict.fromkeys((".csv", *MAPS, *MESHES, *CLOUDS)))
-EXAMPLE = Path(polyline.__file__).with_name("example.csv")
 MIN_POINTS = 10
 """Smallest number of points in a slice through a cloud [-]."""
 MAX_LENGTH = 10_000.0
@@ -62,7 +61,7 @@ class ProfileFile(Terrain):
     """
 
     path: str | None = Field(
-        None, description="file to read; null is a small example that is included [-]"
+        None, description="file to read, such as terrain.path=ground.csv; it must be given [-]"
     )
     unit: Literal["m", "dm", "cm", "mm", "in", "ft"] | None = Field(
         None,
@@ -134,6 +133,9 @@ class ProfileFile(Terrain):
 
     @model_validator(mode="after")
     def _check_fields(self) -> Self:
+        # The other settings belong to a kind of file.
+        if self.path is None:
+            return self
         suffix = self._file.suffix.lower()
         if suffix not in SUFFIXES:
             raise ValueError(f"path {self.path}: one of {', '.join(SUFFIXES)} is allowed")
@@ -165,18 +167,19 @@ class ProfileFile(Terrain):
 
     @property
     def _file(self) -> Path:
+        if self.path is None:
+            raise ValueError(
+                "path: which recorded ground? Name its file, such as terrain.path=ground.csv"
+            )
         try:
-            return EXAMPLE if self.path is None else Path(self.path).expanduser()
+            return Path(self.path).expanduser()
         except RuntimeError as error:  # there is no such user
             raise ValueError(f"path {self.path}: {error}") from error
 
     def notices(self) -> tuple[str, ...]:
         """Return remarks on the recording's extent, faces, layers and missing values."""
         _, remarks = self._recorded
-        remarks = (*remarks, *self._beside_remark())
-        if self.path is None:
-            remarks = ("this is the included example; terrain.path=FILE is ground of yours",)
-        return tuple(f"{self._file}: {remark}" for remark in remarks)
+        return tuple(f"{self._file}: {remark}" for remark in (*remarks, *self._beside_remark()))
 
     @cached_property
     def _profile(self) -> Profile:

@@ -12,6 +12,7 @@ from trimesh import PointCloud as PlyCloud
 
 from flipperctl.api import Profile
 from flipperctl.config import resolver
+from flipperctl.config.identity import read_files
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, TerrainError
 
@@ -48,11 +49,12 @@ def test_a_csv_is_a_profile_in_its_unit(tmp_path: Path) -> None:
     assert found.label == "curb"
 
 
-def test_the_default_is_the_included_example() -> None:
-    assert profile().label == "example"
-    assert profile().end == pytest.approx(2.5)
-    (remark,) = resolver.create("terrain", {"name": "profile_file"}, "terrain").notices()
-    assert "terrain.path=FILE" in remark
+def test_a_file_must_be_named() -> None:
+    terrain = resolver.create("terrain", {"name": "profile_file"}, "terrain")
+    with pytest.raises(ConfigError, match=r"terrain\.path=ground\.csv"):
+        read_files(terrain)
+    with pytest.raises(TerrainError, match=r"terrain\.path=ground\.csv"):
+        profile()
 
 
 def test_a_large_csv_is_read_equally_and_its_fault_is_named(tmp_path: Path) -> None:
