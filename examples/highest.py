@@ -1,6 +1,6 @@
 """A measure of your own: how high the robot climbs.
 
-Try it: ``flipperctl eval --controller okada terrain=step --plugins examples/highest.py``
+Try it: ``flipperctl eval okada terrain=step --plugins examples/highest.py``
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """A sensor of your own with two parts: a gyro at 100 Hz, and an estimator of the pitch.
 
-Try it: ``flipperctl eval --controller okada perception=inertial --plugins examples/inertial.py``
+Try it: ``flipperctl eval okada perception=inertial --plugins examples/inertial.py``
 """
 
 from collections.abc import Mapping

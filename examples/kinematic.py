@@ -1,6 +1,6 @@
 """An engine of your own: a robot that follows the ground without any dynamics.
 
-Try it: ``flipperctl eval --controller okada sim=kinematic --plugins examples/kinematic.py``
+Try it: ``flipperctl eval okada sim=kinematic --plugins examples/kinematic.py``
 """
 
 import math

@@ -1,6 +1,6 @@
 """A sensor of your own: the height at the centre of each bin, with errors that grow with distance.
 
-Try it: ``flipperctl eval --controller okada perception=ruler --plugins examples/ruler.py``
+Try it: ``flipperctl eval okada perception=ruler --plugins examples/ruler.py``
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """A sensor of your own that casts rays at 10 Hz and keeps a map of the ground.
 
-Try it: ``flipperctl eval --controller okada perception=scanner --plugins examples/scanner.py``
+Try it: ``flipperctl eval okada perception=scanner --plugins examples/scanner.py``
 """
 
 from collections.abc import Mapping

@@ -104,7 +104,7 @@ def demo(
       flipperctl demo --terminal
     """
     scene = ["terrain=course"]
-    entrants, find = _entrants(["generalist", "okada"], scene), _finder(scene)
+    entrants, find = _entrants(["generalist", "geometric"], scene), _finder(scene)
     span = 0, episodes
     _show(entrants, span, port, speed, find, marks=False, terminal=terminal, browser=browser)
 

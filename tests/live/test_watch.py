@@ -5,6 +5,7 @@ import json
 import math
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -93,22 +94,29 @@ def test_the_terminal_prints_a_line_for_each_decision() -> None:
 Page = tuple[Gate, page.WatchPage]
 
 
-@pytest.fixture(scope="module")
-def served() -> Iterator[Page]:
-    entrants = [entrant("generalist"), entrant("a_name_of_many_letters_as_of_a_run", "okada")]
-    shown = page.WatchPage(entrants, speed=2, find=lambda name: entrant(name))
+@contextmanager
+def opened_page(*entrants: Entrant, marks: bool = True) -> Iterator[Page]:
+    shown = page.WatchPage(entrants, speed=2, find=lambda name: entrant(name), marks=marks)
     with Gate(0, page=page_file("watch.html"), control=shown) as gate:
         thread = threading.Thread(target=shown.run, args=(gate,), daemon=True)
         thread.start()
-        yield gate, shown
-        shown.stop()
-        thread.join(20)
+        try:
+            yield gate, shown
+        finally:
+            shown.stop()
+            thread.join(20)
 
 
-@pytest.fixture
-def tab(served: Page, chromium: Any) -> Iterator[Any]:
-    """Yield the page, without the 3-D scene, whose drawing takes a core."""
-    gate, _ = served
+@pytest.fixture(scope="module")
+def served() -> Iterator[Page]:
+    names = entrant("generalist"), entrant("a_name_of_many_letters_as_of_a_run", "okada")
+    with opened_page(*names) as opened:
+        yield opened
+
+
+@contextmanager
+def tab_of(gate: Gate, chromium: Any) -> Iterator[Any]:
+    """Yield a page, without the 3-D scene, whose drawing takes a core."""
     problems: list[str] = []
     opened = chromium.new_page(viewport={"width": 1280, "height": 800})
     opened.set_default_timeout(120_000)
@@ -121,6 +129,12 @@ def tab(served: Page, chromium: Any) -> Iterator[Any]:
     yield opened
     opened.close()
     assert problems == []
+
+
+@pytest.fixture
+def tab(served: Page, chromium: Any) -> Iterator[Any]:
+    with tab_of(served[0], chromium) as opened:
+        yield opened
 
 
 @pytest.mark.slow
@@ -159,6 +173,10 @@ def test_the_page_is_driven_by_keys_and_buttons(served: Page, tab: Any) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 800, 390])
 def test_nothing_is_cut_or_lies_over_something_else(tab: Any, width: int) -> None:
+    require_readable(tab, width)
+
+
+def require_readable(tab: Any, width: int) -> None:
     tab.set_viewport_size({"width": width, "height": 844})
     tab.locator("#lane-1 canvas").first.wait_for()
     assert browser.crowded(tab) == []
@@ -166,6 +184,17 @@ def test_nothing_is_cut_or_lies_over_something_else(tab: Any, width: int) -> Non
     assert scene["width"] >= 0.6 * width  # and not behind the panel
     beside = side["x"] >= scene["x"] + scene["width"]
     assert beside if width > 900 else side["y"] >= scene["y"] + scene["height"]
+
+
+@pytest.mark.slow
+def test_the_demo_begins_without_marks_and_explains_them_when_asked(chromium: Any) -> None:
+    names = entrant("generalist"), entrant("geometric")
+    with opened_page(*names, marks=False) as (gate, _), tab_of(gate, chromium) as tab:
+        for width in (1280, 800, 390):
+            require_readable(tab, width)
+        assert tab.locator("#legend.off").count() == 1
+        tab.locator("#marks").check()
+        tab.locator("#legend:not(.off)").wait_for()
 
 
 def test_messages_that_are_none_are_refused() -> None:
