@@ -21,6 +21,7 @@ from flipperctl.evaluation.best_known import with_best_known
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.engines import explained
 from flipperctl.evaluation.evaluate import Result, evaluate
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
@@ -231,9 +232,13 @@ class _Files:
 
 def episode_rows(result: Result) -> Iterator[Row]:
     """Yield a flat row per episode; in each scene the policy's precede its baselines'."""
-    for item in result.played:
+    # A policy is called as on the screen; the label beside it tells policies of equal names apart.
+    played = list(result.played)
+    called = short_names(list(dict.fromkeys(item.entry.label for item in played)))
+    for item in played:
         entry = item.entry
-        who = {"scene": entry.terrain, "controller": entry.row_label}
+        label = entry.row_label
+        who = {"scene": entry.terrain, "method": called.get(label, label), "controller": label}
         policy = item.policy.columns if item.policy else {}
         conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
         for row in item.episodes:

@@ -232,13 +232,17 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
         yield row | {"scene": scene, "line": not repeated and not dim}
 
 
+def shown_names(evaluated: Document) -> Mapping[str, str]:
+    """Return the names that screens show for policies, or methods of several seeds."""
+    return short_names(
+        [scene.get("method") or scene["controller"] for scene in evaluated["scenes"]]
+    )
+
+
 def _policies(evaluated: Document) -> Iterator[tuple[str, str, Document]]:
     """Yield scene, policy and numbers of each policy; a method is pooled over its seeds."""
     methods = {summary.key_of(method): method for method in evaluated.get("methods", ())}
-    called = short_names(
-        [scene.get("method") or scene["controller"] for scene in evaluated["scenes"]]
-    )
-    shown: set[object] = set()
+    called, shown = shown_names(evaluated), set[object]()
     for name, scene in named(evaluated):
         key = summary.key_of(scene)
         pooled = methods.get(key) if "training_seed" in scene else None
@@ -441,6 +445,7 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
     """
     further = [m.plugin_name for m in other_measures()]
     names = ("success", "t_cost", "pitch_variation_100hz", "pitch_variation_decisions", "max_pitch")
+    called = shown_names(evaluated)
     # The scene's own policy, then its baselines
     for scene in evaluated["scenes"]:
         method = scene.get("method", "")
@@ -450,7 +455,8 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
         for label, numbers in ((first, scene), *((other["controller"], other) for other in others)):
             row: Row = {
                 "scene": scene["terrain"],
-                "method": label,
+                "method": called.get(method or label, label),
+                "controller": label,
                 "n": numbers["episodes"],
                 "reached": numbers["outcomes"]["reached"],
             }

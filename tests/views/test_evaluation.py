@@ -67,7 +67,7 @@ def test_the_csv_has_a_row_for_each_scene_and_method(tmp_path: Path) -> None:
     digest = found["scenes"][0]["conditions"]["hash"]
     # Of 1 to 5 the half width of the interval is 2.776445 · √(2.5 / 5) = 1.9632.
     assert ours == {
-        "scene": "step", "method": "a&b_50%", "n": "5", "reached": "5",
+        "scene": "step", "method": "a&b_50%", "controller": "a&b_50%", "n": "5", "reached": "5",
         "success": "1.0", "success_low": "0.5655", "success_high": "1.0",
         "t_cost": "30.0", "t_cost_low": "10.3676", "t_cost_high": "49.6324",
         "pitch_variation_100hz": "6.0",
@@ -259,7 +259,7 @@ def test_names_are_checked_before_an_episode_is_played() -> None:
 RECORDED = Path(__file__).parents[1] / "evaluation/recorded"
 TEXTS = ("outcome", "terrain", "crossed_by")
 COUNTS = ("episode", "seed", "decisions")
-MARKS = ("scene", "controller", "conditions", "conditions_hash")
+MARKS = ("scene", "method", "controller", "conditions", "conditions_hash")
 
 
 def episode(row: dict[str, str]) -> Row:
