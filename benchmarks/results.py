@@ -41,15 +41,15 @@ _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_
 _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 _PASSABLE = "--passable generalist,okada,level,planner"
 COMMANDS: Mapping[str, str] = {
-    "generalist": "flipperctl eval --checkpoint generalist --episodes 50 --seed 61170 "
+    "generalist": "flipperctl eval generalist --episodes 50 --seed 61170 "
     f"--baseline okada,level,random conditions=wide terrain={_TEN} {_PASSABLE}",
-    "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 50 "
+    "paper_scenes": "flipperctl eval generalist --episodes 50 "
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
-    "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
+    "cells_planar": "flipperctl eval generalist suite=generalist sim=planar "
     f"--episodes 30 --seed 61171 --baseline okada,level {_PASSABLE}",
-    "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
+    "cells_mujoco": "flipperctl eval generalist suite=generalist sim=mujoco "
     f"--episodes 30 --seed 61172 --baseline okada,level {_PASSABLE}",
-    "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
+    "cells_3d": "flipperctl eval generalist suite=generalist_3d "
     f"--episodes 30 --seed 61173 --baseline okada,level {_PASSABLE}",
 }
 """The command of each file; those whose names begin with ``cells_`` are of a suite's scenes."""

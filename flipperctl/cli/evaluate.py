@@ -300,7 +300,7 @@ def compare(
 
     [bold]Examples[/]
 
-      flipperctl compare judged --against level --name AT-D3QN=network=at_d3qn
+      flipperctl compare judged --against level --name AT-D3QN=at_d3qn
 
       flipperctl compare plain=a searched=b --against plain --output table.tex
     """

@@ -10,10 +10,11 @@ from collections.abc import Mapping
 
 _TEXT = """
 action: What a policy chooses at a decision: each flipper pair turns up, stays or turns down, 9
-    actions in all.
+    actions in all. With actions=rates, the turns are continuous.
 AT-D3QN: The paper's network and learner: a double dueling DQN with separate layers for the terrain
     and the robot. network=at_d3qn
-baseline: A rule without learning that policies are compared with, such as level or geometric.
+baseline: A controller that policies are compared with on the same episodes, such as level or
+    geometric.
 best validation: The validation of a training with the most reward (train.best_by). Its weights
     are the run's policy.
 bin: A piece of the ground 0.15 m long around the robot. The observation holds the mean height of
@@ -22,10 +23,10 @@ checkpoint: A file with the weights of a policy and its whole configuration. bes
     the policy; last.safetensors continues the training.
 conditions: A named set of physics, sensing, start and randomisation under which policies are
     trained or evaluated. nominal, the default, randomises nothing.
-controller: Anything that turns what the robot perceives into an action: a rule, a planner or a
-    trained policy.
+controller: A policy that is a plugin: a rule, a planner, or one that drives by a trained network,
+    such as greedy.
 decision: One step of the environment: the policy chooses an action, and the robot drives for 0.6
-    s. Other libraries call it a step.
+    s (robot.control_period). Other libraries call it a step.
 Δ: A difference to a baseline on the same episodes. Below 0 is better for pitch variation and time,
     above 0 for success.
 engine: The simulator of the robot's physics: planar (side view, fast) or mujoco (3-D).
@@ -49,18 +50,18 @@ mpc: Model predictive control: a controller that simulates what follows each act
     one, and plans again at the next decision.
 observation: What a policy sees at a decision: heights of the ground around the robot, flipper
     angles and pitch.
-okada: The baseline of the paper's comparison: a rule that turns the flippers along the ground
-    (Okada et al. 2011).
+okada: A rule that turns the front flippers along the ground and holds the rear ones level (Okada
+    et al. 2011).
 outcome: How an episode ends: reached, overturned, stuck or timeout.
-overturned: Outcome: the pitch reached 60° (episode.overturn).
+overturned: Outcome: the pitch reached 60° (episode.overturn), or the robot rolled over in 3-D.
 passable: An episode that at least one of several reference policies can cross (eval --passable).
 pitch: The angle of the chassis against level, above 0 with the nose up [rad].
 pitch variation: How much the robot rocks: the sum of all absolute pitch changes over an episode
     [rad], θ̂_R in the paper. Less is better; 1.2 rad is typical for a short stair.
 pitch variation at decisions: Pitch variation with one sample per decision (0.6 s), as the paper
     seems to count it. It misses what happens between two decisions.
-policy: What chooses the actions: a run, a checkpoint, an .onnx file, a shipped name or a
-    controller.
+policy: What chooses the actions: a run, a checkpoint, an .onnx file, a shipped policy, a file of
+    tune or a controller.
 profile: The ground in the robot's side view: a line of points (x, z) [m].
 reached: Outcome: the robot passed the finish and stands on the ground again.
 regret: The reward that a policy misses compared with the best one for the same rewards. A search
@@ -68,8 +69,8 @@ regret: The reward that a policy misses compared with the best one for the same 
 return: The sum of the rewards of an episode. It depends on the rewards; pitch variation and
     success do not.
 reward: What training maximises: a weighted sum of terms at each decision. flipperctl list rewards
-risk: The probability that the robot gets stuck or overturns soon, which some policies learn. Above
-    a threshold it is a warning.
+risk: The probability that the episode fails within the next ten decisions, which some policies
+    learn (agent.risk). From a threshold on it is a warning.
 run: The folder of one training: configuration, metrics, checkpoints.
 saturated: The share of decisions at which a reward term has its smallest value, and therefore
     tells actions apart no more.

@@ -85,7 +85,7 @@ def plot(
 
       flipperctl plot AT-D3QN=runs/first MLP=runs/second --metric success,return
 
-      flipperctl plot judged --name AT-D3QN=network=at_d3qn --width 7.16in
+      flipperctl plot judged --name AT-D3QN=at_d3qn --width 7.16in
 
       flipperctl plot judged --kind differences --style slides --output gain.svg
 

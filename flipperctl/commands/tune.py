@@ -52,8 +52,8 @@ def tune(
     The episodes are those of trainings; evaluations play others. All candidates of a generation
     meet the same ground, and each generation meets new ground. The best few are then compared on
     fresh episodes, beside the settings of the start, which stay unless they are beaten beyond
-    chance. The score is the pitch variation. A failed episode costs as much as the roughest
-    crossing, and 6.28 rad at least; --for reward takes the configured rewards.
+    chance. The score is the pitch variation. A failed episode costs 6.28 rad, and a crossing at
+    most that; --for reward takes the configured rewards.
 
     The result is a policy file, which stands wherever a POLICY is named. budget=5000 is the default
     number of episodes. terrain=a,b and suite=NAME tune for several scenes, and controller.key=value

@@ -1,4 +1,4 @@
-"""A controller for flipperctl: ``--controller postures``."""
+"""A controller for flipperctl: ``flipperctl eval postures``."""
 
 import math
 
