@@ -37,8 +37,6 @@ OWN_METHOD = ROOT / "docs" / "own_method.md"
 SHOWN = "runs/stair/2026-01-31_12-00-00"
 FIRST = "runs/first"  # the first run of the README, which is shown where it trains
 SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
-KEPT = {"hydra.run.dir=runs/ridge/first", "hydra.run.dir=runs/rover"}
-"""Runs on which later commands are run."""
 _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
 LAUNCHED = [
@@ -101,7 +99,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write(folder / method / str(seed), {label: 1 + seed / 10, "level": 1})
     for run in (FIRST, SWEPT):
         shutil.copytree(folder / SHOWN, folder / run)
-    for name in ("first.onnx", "sb3_dqn.onnx"):
+    for name in ("first.onnx", "varied.onnx", "sb3_dqn.onnx"):
         shutil.copy(folder / "stair.onnx", folder / name)
     (folder / "examples").symlink_to(ROOT / "examples")
     for name, text in saved().items():
@@ -163,7 +161,7 @@ def with_budget(command: list[str]) -> list[str]:
             at = command.index("--output")
             command, named = [*command[:at], *command[at + 2 :]], False
         own = [f"hydra.run.dir=runs/{uuid4()}"]
-        own = own if alone and not named and not KEPT & {*command} else []
+        own = own if alone and not named else []
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
@@ -220,10 +218,9 @@ def small_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 MAKERS = {
     name: command
     for command in reversed(commands())
-    for option, word in pairwise(["", *command])
-    for name in [word.removeprefix("hydra.run.dir=")]
+    for option, name in pairwise(["", *command])
     if command[1] in ("train", "tune", "eval", "map", "export", "robot") or option == "--record"
-    if name != FIRST and (option in ("--output", "--record") or name != word)
+    if name != FIRST and option in ("--output", "--record")
 } | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
 MAKERS["benchmarked/generalist.json"] = ["flipperctl", "benchmark", "generalist"]
 """What a command writes → the first that writes it."""
