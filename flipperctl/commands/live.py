@@ -63,7 +63,7 @@ def watch(
 
       flipperctl watch generalist terrain=pallet
 
-      flipperctl watch runs/first level okada terrain=uplift
+      flipperctl watch runs/first level geometric terrain=uplift
 
       flipperctl watch generalist terrain=stair sim=mujoco
 
