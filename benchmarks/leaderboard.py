@@ -51,16 +51,22 @@ def by_scene(files: Sequence[BenchmarkResult]) -> Table:
 
 def crossings(files: Sequence[BenchmarkResult]) -> Table:
     """Return the mean pitch variation of what a policy and rules reached on each scene."""
-    methods = {r.method: r for r in files if r.method in _SHOWN}
+    played = {
+        (r.method, scene.track, scene.scene): scene.policies[0]
+        for r in files
+        if r.method in _SHOWN
+        for scene in r.scenes
+    }
     rows = []
-    for at, scene in enumerate(methods[_SHOWN[0]].scenes):
-        row = {"ground": _name(scene.track, scene.scene)}
+    for track, scene in dict.fromkeys((track, scene) for _, track, scene in played):
+        row = {"ground": _name(track, scene)}
         for name in _SHOWN:
-            (played,) = methods[name].scenes[at].policies
-            pairs = zip(played.outcomes, played.pitch_variation_100hz, strict=True)
+            if (part := played.get((name, track, scene))) is None:
+                continue
+            pairs = zip(part.outcomes, part.pitch_variation_100hz, strict=True)
             crossed = [v for outcome, v in pairs if outcome == Outcome.REACHED and v is not None]
-            few = f" ({len(crossed)})" if len(crossed) < len(played.outcomes) else ""
-            row[name] = f"{sum(crossed) / len(crossed):.2f}{few}"
+            few = f" ({len(crossed)})" if len(crossed) < len(part.outcomes) else ""
+            row[name] = f"{sum(crossed) / len(crossed):.2f}{few}" if crossed else "– (0)"
         rows.append(row)
     return Table((Column("ground", "ground"), *(Column(n, f"`{n}`") for n in _SHOWN)), rows)
 
