@@ -111,6 +111,16 @@ class Numbers:
     commands: int = 0
     diagnoses: Counter[str] = field(default_factory=Counter)
     """Fault, or else state → how many diagnoses told it."""
+    used: list[tuple[float, float]] = field(default_factory=list)
+    """Time of the machine, and processor time that the node told, of each diagnosis [s]."""
+
+    @property
+    def processor_share(self) -> float | None:
+        """Share of a core that the node used; None without two diagnoses that tell it [-]."""
+        if len(self.used) < 2:
+            return None
+        (begun, before), (ended, after) = self.used[0], self.used[-1]
+        return (after - before) / (ended - begun)
 
 
 class TopicRobot(Observer):
@@ -223,6 +233,8 @@ class TopicRobot(Observer):
         values = {entry.key: entry.value for entry in message.status[0].values}
         if "state" in values:
             self.numbers.diagnoses[values.get("fault") or values["state"]] += 1
+        if "processor" in values:
+            self.numbers.used.append((time.monotonic(), float(values["processor"])))
 
     def _on_ready(self, message: Any) -> None:
         with self._heard:
@@ -416,6 +428,7 @@ def _row(
         "commands": numbers.commands,
         "latency_median": median,
         "latency_99": most,
+        "processor_share": numbers.processor_share,
         "diagnoses": dict(numbers.diagnoses),
         "targets": targets,
     }

@@ -244,6 +244,7 @@ _SIMULATED = (
     Column("seconds", "time [s]", 1),
     Column("median", "cloud to command [ms]", 0),
     Column("most", "99 % [ms]", 0),
+    Column("used", "node's core [%]", 0),
     Column("told", "told most", wrapped=True),
 )
 
@@ -254,7 +255,8 @@ def print_simulated(rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         most = max(row["diagnoses"], key=row["diagnoses"].get, default="nothing")
         times = {"median": 1e3 * row["latency_median"], "most": 1e3 * row["latency_99"]}
-        cells.append({**row, **times, "told": most, "episode": str(row["episode"])})
+        used = row["processor_share"] and 100 * row["processor_share"]
+        cells.append({**row, **times, "used": used, "told": most, "episode": str(row["episode"])})
     print_table(Table(_SIMULATED, cells), console())
 
 

@@ -75,6 +75,7 @@ def test_in_lockstep_each_target_is_that_of_the_episode_in_process(ros: Ros) -> 
     assert row["outcome"] == "reached"
     assert row["targets"] == in_process(ros.folder, row, "terrain=paper_step", FEW)
     assert set(row["diagnoses"]) == {"driving"}
+    assert row["processor_share"] > 0
 
 
 @pytest.mark.long

@@ -254,7 +254,8 @@ class FlipperNode(LifecycleNode):
                     header=header, name=names, position=angles, velocity=list(command.speeds)
                 )
             )
-        values = [KeyValue(key=key, value=value) for key, value in diagnosis.values.items()]
+        told = {**diagnosis.values, "processor": f"{time.process_time():.3f}"}  # used so far [s]
+        values = [KeyValue(key=key, value=value) for key, value in told.items()]
         status = DiagnosticStatus(
             level=LEVELS[diagnosis.level],
             name="flipperctl",
