@@ -184,7 +184,8 @@ def _verify(
     from flipperctl.text.messages import counted
 
     # Other versions may play other episodes, which is no fault of the file.
-    here = versions_here(entries[0].config)
+    engines = {entry.config.sim.plugin_name: entry.config for entry in entries}
+    here = {n: v for config in engines.values() for n, v in versions_here(config).items()}
     if others := [f"{n} {v}" for n, v in stated.versions.items() if here.get(n) != v]:
         print_note(f"{file}: it was played with {', '.join(others)}; episodes may differ here")
     count = 0
