@@ -10,12 +10,9 @@ self-test refuses it and names the frame.
 
 import json
 import sys
-from contextlib import suppress
 from pathlib import Path
 
-import rclpy
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState, PointCloud2
@@ -24,7 +21,7 @@ from std_msgs.msg import Float64
 from flipperctl.errors import FlipperctlError
 from flipperctl.runtime import Attitude, read_devices
 from flipperctl.runtime.point_cloud import read_cloud
-from flipperctl_ros import wake
+from flipperctl_ros import spin_until_stopped
 
 MOST, EVERY = 2000, 0.5  # points of a cloud; time between two clouds [s]
 
@@ -44,7 +41,6 @@ class Lines(Node):
         subscribe(Imu, names.imu, self.on_imu, qos)
         subscribe(JointState, names.joints, self.on_joints, qos)
         subscribe(belts, names.belts, self.on_belts, qos)
-        wake(self)
 
     def write(self, device, content):
         """Print a message; its time is that at which it came, by the node's clock [s]."""
@@ -80,16 +76,12 @@ class Lines(Node):
 
 def main():
     """Print lines until the reader or the user ends it."""
-    rclpy.init()
     try:
-        rclpy.spin(Lines())
+        spin_until_stopped(Lines)
     except FlipperctlError as error:
         sys.exit(f"error: {error}")
-    except (KeyboardInterrupt, ExternalShutdownException, BrokenPipeError):
+    except BrokenPipeError:
         pass
-    finally:
-        with suppress(RuntimeError):  # the signal's own handler may be at it
-            rclpy.try_shutdown()
 
 
 if __name__ == "__main__":

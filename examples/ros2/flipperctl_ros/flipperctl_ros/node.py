@@ -10,14 +10,11 @@ units and limits are those of the devices file; remaps and a namespace work as u
 
 import sys
 import time
-from contextlib import suppress
 from pathlib import Path
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from rclpy.time import Time
@@ -31,7 +28,7 @@ from flipperctl.runtime.devices import read_devices
 from flipperctl.runtime.lockstep import Lockstep
 from flipperctl.runtime.markers import markers_of
 from flipperctl.runtime.node import Place, RobotNode
-from flipperctl_ros import wake
+from flipperctl_ros import spin_until_stopped
 
 LEVELS = {"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}
 KINDS = {"plan": Marker.LINE_LIST, "risk": Marker.TEXT_VIEW_FACING}  # the others are points
@@ -71,7 +68,6 @@ class FlipperNode(LifecycleNode):
                 self.declare_parameter(name, default)
         self.robot, self.lockstep, self.commands, self.ours = None, None, {}, []
         self.buffer = None  # of tf
-        wake(self)
 
     def parameter(self, name):
         return self.get_parameter(name).value
@@ -352,19 +348,17 @@ def main():
     if {"-h", "--help"} & {*sys.argv[1:]}:
         print(usage())
         return
-    rclpy.init()
-    try:
-        node = FlipperNode()
-        if node.parameter("autostart"):
-            done = node.trigger_configure() == SUCCESS and node.trigger_activate() == SUCCESS
-            if not done:
-                sys.exit(1)  # its log says why
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass  # Ctrl-C, or the end that ros2 launch asks for
-    finally:
-        with suppress(RuntimeError):  # the signal's own handler may be at it
-            rclpy.try_shutdown()
+    if not spin_until_stopped(started):
+        sys.exit(1)  # its log says why
+
+
+def started():
+    """Return the node, configured and active if it starts by itself; None if it cannot."""
+    node = FlipperNode()
+    if not node.parameter("autostart"):
+        return node
+    active = node.trigger_configure() == SUCCESS and node.trigger_activate() == SUCCESS
+    return node if active else None
 
 
 if __name__ == "__main__":
