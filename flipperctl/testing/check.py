@@ -15,12 +15,12 @@ import re
 import time
 import types
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 from unittest import SkipTest
 
@@ -87,13 +87,15 @@ class Conformance:
     """Base class of a test class that names the ``plugin`` to check."""
 
     plugin: ClassVar[type[Plugin]]
+    settings: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """Settings that the plugin needs, such as a file."""
     pictures: ClassVar[Path | None] = None
     """Folder for pictures of the terrain at its defaults and at each bound, if any."""
 
     def pytest_generate_tests(self, metafunc: Any) -> None:
         """Make one test of each check."""
         if "check" in metafunc.fixturenames:
-            tests = checks(self.plugin, pictures=self.pictures)
+            tests = checks(self.plugin, pictures=self.pictures, settings=self.settings)
             metafunc.parametrize("check", tests, ids=str)
 
     def test_keeps_the_contract(self, check: Check) -> None:
@@ -114,10 +116,17 @@ def of(kind: str, name: str, *, everywhere: bool = True) -> Callable[[TestT], Te
     return decorate
 
 
-def checks(*plugins: type[Plugin], pictures: Path | None = None) -> list[Check]:
-    """Return all checks of the plugins; ``pictures`` is a folder for pictures of the terrains."""
+def checks(
+    *plugins: type[Plugin],
+    pictures: Path | None = None,
+    settings: Mapping[str, Any] = MappingProxyType({}),
+) -> list[Check]:
+    """Return all checks of the plugins.
+
+    ``pictures``: folder for pictures of the terrains; ``settings``: what each plugin needs.
+    """
     loader.load()  # a plugin may contain others
-    return [check for cls in plugins for check in _checks(cls, pictures)]
+    return [check for cls in plugins for check in _checks(cls, pictures, settings)]
 
 
 def package_checks(package: ModuleType) -> list[Check]:
@@ -129,8 +138,10 @@ def package_checks(package: ModuleType) -> list[Check]:
     return checks(*classes)
 
 
-def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
-    all_variants = cache(lambda: variants(cls))
+def _checks(
+    cls: type[Plugin], pictures: Path | None, settings: Mapping[str, Any]
+) -> Iterator[Check]:
+    all_variants = cache(lambda: variants(cls, settings))
 
     def at(name: str, test: Callable[[Any], None], *, everywhere: bool) -> Check:
         last = None if everywhere else 1
@@ -234,16 +245,17 @@ class Variant(NamedTuple):
     plugin: Plugin
 
 
-def variants(cls: type[Plugin]) -> list[Variant]:
+def variants(cls: type[Plugin], settings: Mapping[str, Any]) -> list[Variant]:
     """Return the defaults, then each bound and each choice of each of the plugin's own fields.
 
+    ``settings`` replace the defaults of some of them.
     Values that the plugin's validator rejects with other fields at their defaults are left out.
     """
     # Fields that the contracts declare are not the plugin's own.
     bases = (base for base in cls.__mro__[1:] if base.__module__.startswith("flipperctl.api."))
     shared = {name for base in bases for name in getattr(base, "model_fields", ())}
     try:
-        default = cls()
+        default = cls(**settings)
     except ValidationError as error:
         raise _invalid("its defaults", error) from error
     accepted = [Variant("its defaults", default)]
@@ -255,7 +267,7 @@ def variants(cls: type[Plugin]) -> list[Variant]:
                 continue
             label = f"{field}={value}"
             try:
-                accepted.append(Variant(label, cls(**{field: value})))
+                accepted.append(Variant(label, cls(**{**settings, field: value})))
             except ConfigError:  # of a validator, as below
                 continue
             except ValidationError as error:

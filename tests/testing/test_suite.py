@@ -255,7 +255,7 @@ def test_fields_are_documented_and_kept(
 
 
 def test_variants_are_the_bounds_and_choices_that_the_validators_allow() -> None:
-    labels = [v.label for v in variants(api.registry["terrain", "stair"])]
+    labels = [v.label for v in variants(api.registry["terrain", "stair"], {})]
     assert labels[0] == "its defaults"
     assert {"rise=0.5", "rise=5e-324", "tread=2", "steps=50", "direction=up"} <= set(labels)
     assert "back=True" not in labels  # without a platform, it is refused
