@@ -232,13 +232,13 @@ class _Files:
 
 def episode_rows(result: Result) -> Iterator[Row]:
     """Yield a flat row per episode; in each scene the policy's precede its baselines'."""
-    # A policy is called as on the screen; the label beside it tells policies of equal names apart.
-    played = list(result.played)
-    called = short_names(list(dict.fromkeys(item.entry.label for item in played)))
-    for item in played:
+    # A policy is called as on the screen; the label beside it is its file. A method of several
+    # seeds, among the entry's names, keeps its own, by which ``compare`` pools them.
+    labels = [item.entry.method or item.entry.label for item in result.played]
+    called = short_names(list(dict.fromkeys(labels)))
+    for item, label in zip(result.played, labels, strict=True):
         entry = item.entry
-        label = entry.row_label
-        who = {"scene": entry.terrain, "method": called.get(label, label), "controller": label}
+        who = {"scene": entry.terrain, "method": called[label], "controller": entry.row_label}
         policy = item.policy.columns if item.policy else {}
         conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
         for row in item.episodes:

@@ -233,10 +233,11 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
 
 
 def shown_names(evaluated: Document) -> Mapping[str, str]:
-    """Return the names that screens show for policies, or methods of several seeds."""
-    return short_names(
-        [scene.get("method") or scene["controller"] for scene in evaluated["scenes"]]
-    )
+    """Return the names of policies, of methods of several seeds and of baselines by label."""
+    scenes = evaluated["scenes"]
+    labels = [scene.get("method") or scene["controller"] for scene in scenes]
+    labels += [other["controller"] for scene in scenes for other in compared(scene)]
+    return short_names(list(dict.fromkeys(labels)))
 
 
 def _policies(evaluated: Document) -> Iterator[tuple[str, str, Document]]:
@@ -455,7 +456,7 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
         for label, numbers in ((first, scene), *((other["controller"], other) for other in others)):
             row: Row = {
                 "scene": scene["terrain"],
-                "method": called.get(method or label, label),
+                "method": method or called[label],
                 "controller": label,
                 "n": numbers["episodes"],
                 "reached": numbers["outcomes"]["reached"],
