@@ -247,9 +247,8 @@ class Profile:
         index = along.searchsorted(x)
         for end, beyond in ((0, x < along[0]), (len(along) - 1, x > along[-1])):
             if beyond.any():
-                steps = np.rint((x - along[end]) / self.spacing).astype(
-                    np.intp
-                )  # to the nearest point
+                # Steps to the nearest point, and to the next one if that is before x
+                steps = np.rint((x - along[end]) / self.spacing).astype(np.intp)
                 steps += along[end] + steps * self.spacing < x
                 index = np.where(beyond, end + steps, index)
         return index

@@ -43,15 +43,15 @@ def identify(
     """
     recording = read_recording(bag, Names.of(devices), clouds=False)
     motion = motion_of(recording, devices)
-    told = estimates(motion, robot, devices.tilt_error)
+    estimated = estimates(motion, robot, devices.tilt_error)
     if output is not None:
-        write_bytes(output, robot_file(bag, robot, told).encode())
+        write_bytes(output, robot_file(bag, robot, estimated).encode())
     return {
         "source": str(bag),
         "output": None if output is None else str(output),
         "topics": recording.topics,
         "seconds": float(motion.time[-1] - motion.time[0]),
-        "values": {key: estimate.to_dict() for key, estimate in told.items()},
+        "values": {key: estimate.to_dict() for key, estimate in estimated.items()},
         "checks": recording.checked.rows,
         "remarks": recording.remarks,
     }
