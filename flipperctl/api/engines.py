@@ -220,6 +220,17 @@ class PoweredWorld(Protocol):
         """
 
 
+@runtime_checkable
+class RollingWorld(Protocol):
+    """A ``World`` in three dimensions, which measures how its chassis rolls."""
+
+    def roll_variation(self) -> float:
+        """Return the sum of the absolute roll changes from sample to sample since the start [rad].
+
+        It never decreases; a snapshot need not contain it.
+        """
+
+
 SharedSetting = Literal["friction", "gravity", "roll_limit"]
 """A setting with the same meaning in every engine that has it: friction between track and ground
 [-], downward acceleration [m/s²], absolute roll from which the robot is overturned [rad]."""

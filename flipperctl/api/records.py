@@ -39,6 +39,8 @@ class Measure(Plugin, ABC):
     operated_only: ClassVar[bool] = False
     """Whether only episodes of an operator have it (``Transition.commands`` is not None); no
     training logs it."""
+    rolled_only: ClassVar[bool] = False
+    """Whether only episodes in 3-D have it (``Transition.roll_variation`` is not None)."""
     better: ClassVar[Literal["lower", "higher"] | None] = None
     """Which values are better, as stated in tables of differences; None: neither."""
     in_tables: ClassVar[bool] = True
@@ -70,6 +72,7 @@ def measure(
     reached_only: bool = False,
     mapped_only: bool = False,
     operated_only: bool = False,
+    rolled_only: bool = False,
     better: Literal["lower", "higher"] | None = None,
     in_tables: bool = True,
 ) -> _Decorator:
@@ -91,6 +94,7 @@ def measure(
         "reached_only": reached_only,
         "mapped_only": mapped_only,
         "operated_only": operated_only,
+        "rolled_only": rolled_only,
     }
 
     def decorate(written: Any, /) -> Any:

@@ -332,6 +332,11 @@ class Transition:
 
     None in predictions, and in an engine that does not measure it. Measures may use it.
     """
+    roll_variation: float | None = None
+    """Sum of the absolute roll changes between poses ``sample_period`` apart [rad].
+
+    None in predictions, and in an engine that does not measure it. Measures may use it.
+    """
     commands: FloatArray | None = None
     """Fields of each ``Command`` in the decision, (K, 5); None: the policy chose an action."""
 

@@ -134,7 +134,9 @@ class Drive:
         z [m], pitch, front and rear flipper angle [rad]."""
         self.flipper_work: float | None = None
         """Work of the flippers' motors in the last decision [J]; None: not measured."""
-        self._work = self.world.flipper_work()
+        self.roll_variation: float | None = None
+        """Sum of the absolute roll changes in the last decision at 100 Hz [rad]; None: in 2-D."""
+        self._sums = self.world.sums()
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
         self._turns = turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
@@ -188,7 +190,7 @@ class Drive:
 
         An operator's commands replace the action.
         """
-        state, begun = self.state, self._work
+        state, begun = self.state, self._sums
         operator, driven = self._operator, True
         # Of rates, the action that counts is the closest one.
         if isinstance(action, tuple):
@@ -203,8 +205,11 @@ class Drive:
         if operator is not None:
             self.action, self.commands = operator.end(self.targets)
             driven = float(self.commands[:, 2].mean()) > _DRIVEN
-        self._work = ended = self.world.flipper_work()
-        self.flipper_work = None if begun is None or ended is None else ended - begun
+        self._sums = self.world.sums()
+        self.flipper_work, self.roll_variation = (
+            None if earlier is None or now is None else now - earlier
+            for earlier, now in zip(begun, self._sums, strict=True)
+        )
         self.state = self.world.state()
         # Without a delay, and at the end of an episode, the perceived state is the current one.
         if self._undelayed or outcome is not None:
@@ -272,7 +277,7 @@ class Drive:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""
-        last = self.poses, self.flipper_work
+        last = self.poses, self.flipper_work, self.roll_variation
         moving = self.state, self.delayed_state, self.targets, last
         return self.world.save(), self.termination.save(), moving, (self._samples, self._samplings)
 
@@ -280,9 +285,9 @@ class Drive:
         """Restore a snapshot."""
         world, termination, moving, sampling = saved
         self.state, self.delayed_state, self.targets, last = moving
-        self.poses, self.flipper_work = last
+        self.poses, self.flipper_work, self.roll_variation = last
         self._samples, self._samplings = sampling
         self.world.load(world)
-        # A snapshot need not contain the work: its differences begin anew.
-        self._work = self.world.flipper_work()
+        # A snapshot need not contain the sums: their differences begin anew.
+        self._sums = self.world.sums()
         self.termination.load(termination)

@@ -341,6 +341,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
             sample_period=SAMPLE_PERIOD,
             perception=self.perception,
             flipper_work=self.drive.flipper_work,
+            roll_variation=self.drive.roll_variation,
             commands=self.drive.commands,
         )
         parts = self._reward(self.transition)

@@ -25,7 +25,9 @@ CORE = (
     "flipper_travel",
 )
 """Measures for which results have fields of their own, in the order of their columns."""
-RENAMED: Mapping[str, str] = {"pitch_variation": "pitch_variation_decisions"}
+RENAMED: Mapping[str, str] = {
+    f"{angle}_variation": f"{angle}_variation_decisions" for angle in ("pitch", "roll")
+}
 """New names of measures by those that they had until version 0.3."""
 
 
@@ -181,6 +183,8 @@ def applies(measure: Measure, episode: Sequence[Transition]) -> bool:
     """Return whether the episode has the measure."""
     perceived = episode[0].perception
     if measure.operated_only and episode[0].commands is None:
+        return False
+    if measure.rolled_only and episode[0].roll_variation is None:
         return False
     return not measure.mapped_only or (perceived is not None and perceived.seen is not None)
 

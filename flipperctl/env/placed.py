@@ -36,6 +36,7 @@ from flipperctl.api import (
     Robot,
     RobotGeometry,
     RobotState,
+    RollingWorld,
     SensedAngles,
     SensedGround,
     Sensor,
@@ -76,10 +77,14 @@ _ABILITIES = {
 """Method that a world need not have → its protocol, and why an engine without it is refused."""
 
 
+_SUMS = {PoweredWorld: "flipper_work", RollingWorld: "roll_variation"}
+"""Protocol that a world need not follow → its method, which returns a sum since the start."""
+
+
 class PlacedWorld:
     """The world of an engine; a ``flipperctl.api.DrawingWorld`` if the engine's is one.
 
-    Poses, states and work that are not finite are a ``NonFiniteError``; a method of ``_ABILITIES``
+    Poses, states and sums that are not finite are a ``NonFiniteError``; a method of ``_ABILITIES``
     that the engine lacks is a ``ConfigError``. Everything else is the engine's own.
     """
 
@@ -89,7 +94,7 @@ class PlacedWorld:
         self._world = Checked(engine, world) if checked else world
         # Once, since the check of a protocol takes long compared with a decision.
         self._terminates = isinstance(world, EndingWorld)
-        self._is_powered = isinstance(world, PoweredWorld)
+        self._summed = tuple(name for p, name in _SUMS.items() if isinstance(world, p))
         self.command = self._world.command
         """Set the target angles of the flippers; see ``flipperctl.api.World``."""
 
@@ -133,12 +138,19 @@ class PlacedWorld:
         """Return the outcome if the world has terminated by itself, else None."""
         return self._world.ended() if self._terminates else None
 
-    def flipper_work(self) -> float | None:
-        """Return the work of the flippers' motors since the start [J]; None: not measured."""
-        work: float | None = self._world.flipper_work() if self._is_powered else None
-        if work is not None and not math.isfinite(work):
-            raise _not_finite(self.engine, "flipper_work", str(work), self.of_engine)
-        return work
+    def sums(self) -> tuple[float | None, ...]:
+        """Return the flippers' work [J] and the roll variation [rad] since the start.
+
+        None: not measured.
+        """
+        values = tuple(
+            getattr(self._world, name)() if name in self._summed else None
+            for name in _SUMS.values()
+        )
+        for name, value in zip(_SUMS.values(), values, strict=True):
+            if value is not None and not math.isfinite(value):
+                raise _not_finite(self.engine, name, str(value), self.of_engine)
+        return values
 
 
 def mounted_parts(

@@ -219,6 +219,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         "penetration": _NUMBER,
         "ended": _optional(_instance(Outcome, "an")),
         "flipper_work": _NUMBER,
+        "roll_variation": _NUMBER,
         "cast_rays": _array(lambda _, origin, directions, *__: len(directions), low=0.0),
         "look": _record(
             CameraImage,

@@ -35,10 +35,10 @@ from flipperctl.evaluation.seeds import (
 from flipperctl.evaluation.statistics import Interval, holm
 from flipperctl.evaluation.stored import Stored, read
 from flipperctl.text.show import Column, Table
-from flipperctl.views.summary import Document, p_text, rate_text
+from flipperctl.views.summary import ROLLS, Document, p_text, rate_text
 
 ALL = "all"  # name that stands for a comparison of every pair of methods
-_PRICED = ("pitch_variation_100hz", "pitch_variation_decisions")
+_PRICED = ("pitch_variation_100hz", "pitch_variation_decisions", *ROLLS)
 """Measures for which ``PRICE`` is the default."""
 _INTERVALS = "Means with 95 % intervals over training seeds, of which there are n, and episodes."
 _SEED = 0  # seed of the bootstrap

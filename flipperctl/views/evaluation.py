@@ -40,11 +40,14 @@ from flipperctl.views.summary import (
     short,
 )
 
+_ROLL_GAP = Column("roll", "Δ roll variation [rad]", sign="+")
 _LINES = 6  # largest number of differences that are lines; more are a table
 _TRIES = 100  # number of profiles in which a name is looked for before the evaluation
 _STARTS = ("start_shift", "start_front", "start_rear")
 Names = tuple[str, ...]
 """Drawn numbers whose combinations are groups, such as length, height, slope or friction."""
+ROLL = Column("roll_variation_100hz", "roll variation [rad]")
+"""Column beside the pitch variation where the engine is 3-D."""
 _SCENE, _POLICY = (Column(name, name, named=True) for name in ("scene", "policy"))
 
 
@@ -169,6 +172,7 @@ def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iter
             _POLICY,
             Column("against", "against", named=True),
             Column("variation", "Δ pitch variation [rad]", sign="+"),
+            *([_ROLL_GAP] if any(row[_ROLL_GAP.key] for row in rows) else []),
             Column("success_text", "Δ success (p, Holm)"),
         ]
         shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
@@ -209,6 +213,7 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
         Column("failures", "failures", named=True): any(row["failures"] for row in rows),
         Column("passable_text", "of passable"): any(row["passable_text"] for row in rows),
         Column("pitch_variation_100hz", VARIATION, latex=latex): True,
+        ROLL: any(row.get(ROLL.key) is not None for row in rows) and ROLL not in further,
         Column("time", "time [s]", 1): not timed,
     }
     head = [*(column for column, wanted in columns_if.items() if wanted), *further]
@@ -340,19 +345,23 @@ def difference_rows(evaluated: Document, with_scene: bool = True) -> Iterator[Ro
                 "policy": policy,
                 "against": other["controller"],
                 "variation": other["difference"]["pitch_variation_100hz"],
+                "roll": other["difference"].get(ROLL.key),
                 "success": other["difference"]["success"],
             }
 
 
 def _sentence(row: Row, *, several: bool) -> str:
-    gap = row["variation"]
-    text = "no episode that both reach"
-    if gap is not None:
-        low, high = gap["low"], gap["high"]
-        ends = "" if low is None else f" [{low:+.2f}, {high:+.2f}]"
-        text = f"{gap['mean']:+z.2f} rad{ends}"
+    text = "no episode that both reach" if row["variation"] is None else _gap(row["variation"])
+    if row["roll"] is not None:
+        text += f", roll variation {_gap(row['roll'])}"
     who = f"{row['policy']} against {row['against']}" if several else f"against {row['against']}"
     return f"{who}, same episodes: pitch variation {text}, success {gap_text(row['success'])}"
+
+
+def _gap(gap: Mapping[str, Any]) -> str:
+    low, high = gap["low"], gap["high"]
+    ends = "" if low is None else f" [{low:+.2f}, {high:+.2f}]"
+    return f"{gap['mean']:+z.2f} rad{ends}"
 
 
 def group_tables(name: str, scene: Mapping[str, Any]) -> Iterator[Table]:
@@ -366,6 +375,7 @@ def group_tables(name: str, scene: Mapping[str, Any]) -> Iterator[Table]:
                 Column("episodes", "episodes"),
                 Column("success_text", "success"),
                 Column("pitch_variation_100hz", VARIATION),
+                *([ROLL] if all(ROLL.key in group for group in groups) else []),
                 *(Column(f"gap_{label}", f"Δ to {label} [rad]", sign="+") for label in labels),
             ]
             title = f"{who} on {name} by {by.replace('+', ' and ')}"

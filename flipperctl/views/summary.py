@@ -33,6 +33,13 @@ _MEASURED = tuple(name for name in CORE if name not in ("decisions", "max_pitch"
 """Measures over the episodes that reached the finish alone."""
 _COMPARED = ("t_cost", "pitch_variation_decisions", "pitch_variation_100hz")
 VARIATION = "pitch variation [rad]"  # heading of the first figure, θ̂_R at 100 Hz
+ROLLS = "roll_variation_decisions", "roll_variation_100hz"
+"""Measures beside the pitch variations where the engine is 3-D."""
+
+
+def _rolls(rows: Iterable[Row]) -> tuple[str, ...]:
+    """Return ``ROLLS`` if every row is of an engine in 3-D, else nothing."""
+    return ROLLS if all(name in row for row in rows for name in ROLLS) else ()
 
 
 def baselines(terrain: str, episodes: Episodes, others: Mapping[str, Episodes]) -> Document:
@@ -235,7 +242,8 @@ def _pool(result: Result, group: Sequence[Played]) -> dict[str, Any]:
     method = _method(entry.method, table)
     success = success_interval(method)
     counts = Counter(row["outcome"] for rows in table for row in rows)
-    crossed = [(name, _crossed(table, name)) for name in _MEASURED]
+    rolls = _rolls(row for rows in table for row in rows)
+    crossed = [(name, _crossed(table, name)) for name in (*_MEASURED, *rolls)]
     conditions = entry.conditions
     return {
         "terrain": entry.terrain,
@@ -279,7 +287,7 @@ def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]
     method, baseline = _method("", table[:-1]), _method("", table[-1:])
     success, p = success_difference(method, baseline)
     gaps: dict[str, Any] = {"success": success.to_dict() | {"p": p, "p_holm": p}}
-    for name in _COMPARED:
+    for name in (*_COMPARED, *_rolls(row for rows in table for row in rows)):
         v = _crossed(table, name)
         gap = None if v is None else difference_interval({"": v[:-1]}, {"": v[-1:]})[0]
         gaps[name] = gap and gap.to_dict()

@@ -1,6 +1,6 @@
 """Measures of an episode's motion: duration, flippers, standstill, impacts, pitch and roll.
 
-The roll is 0 in an engine of the side plane.
+At decisions, the roll is 0 in an engine of the side plane.
 """
 
 import math
@@ -108,10 +108,16 @@ def max_roll(episode: Sequence[Transition]) -> float:
     return max(abs(episode[0].before.roll), *(abs(t.after.roll) for t in episode))
 
 
-@measure("roll_variation", unit="rad", reached_only=True, better="lower", in_tables=False)
+@measure("roll_variation_decisions", unit="rad", reached_only=True, better="lower", in_tables=False)
 def roll_variation(episode: Sequence[Transition]) -> float:
-    """Sum of the absolute roll changes between decisions [rad]."""
+    """Sum of the roll changes between decisions [rad]."""
     return _total(abs(t.after.roll - t.before.roll) for t in episode)
+
+
+@measure("roll_variation_100hz", unit="rad", reached_only=True, better="lower", rolled_only=True)
+def roll_variation_100hz(episode: Sequence[Transition]) -> float:
+    """Sum of the roll changes between poses 10 ms apart, in 3-D alone [rad]."""
+    return _total(t.roll_variation or 0.0 for t in episode)
 
 
 def _total(values: Iterable[float]) -> float:

@@ -27,8 +27,10 @@ from flipperctl.requests.plan import scenes
 from flipperctl.requests.text import from_words
 from flipperctl.rollout.episode import play
 from flipperctl.training.listeners import columns
-from flipperctl.views.evaluation import csv_rows, document
+from flipperctl.views.evaluation import csv_rows, document, tables
 from tests.cli.call import call
+from tests.evaluation.samples import result as made
+from tests.evaluation.samples import sample
 
 ROBOT = Robot()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m, 35 kg and 2 × 5 kg
 FLAT = Profile([(0.0, 0.0)])
@@ -108,7 +110,7 @@ def test_an_impact_is_the_change_of_velocity_within_10_ms() -> None:
 def test_roll_counts_at_decisions() -> None:
     rolls = (0.1, -0.2, 0.05)
     episode = [decision(state(roll=after), state(roll=before)) for before, after in pairwise(rolls)]
-    assert value("roll_variation", episode) == pytest.approx(0.3 + 0.25)
+    assert value("roll_variation_decisions", episode) == pytest.approx(0.3 + 0.25)
     assert value("max_roll", episode) == 0.2
     assert value("max_roll", [decision(state(roll=0.05), state(roll=-0.3))]) == 0.3
 
@@ -149,14 +151,36 @@ def test_the_energy_of_the_flippers_is_torque_times_angle(sim: str) -> None:
 MAPPING = {"map_error", "map_error_below", "drift", "unseen"}
 
 
-def measured(**perception: object) -> dict[str, float]:
-    env = FlipperEnv({"name": "flat", "length": 0.5}, perception=perception)
+def measured(sim: str = "planar", **perception: object) -> dict[str, float]:
+    env = FlipperEnv({"name": "flat", "length": 0.5}, sim=sim, perception=perception)
     env.reset(seed=1)
     while True:
         *_, terminated, truncated, info = env.step(4)
         if terminated or truncated:
             found: dict[str, float] = info["metrics"]
             return found
+
+
+def test_roll_variation_at_100_hz_is_of_engines_in_3_d_alone() -> None:
+    swaying = [replace(decision(state()), roll_variation=change) for change in (0.3, 0.2)]
+    assert value("roll_variation_100hz", swaying) == pytest.approx(0.5)
+    assert "roll_variation_100hz" not in measured("planar")
+    metrics = measured("mujoco")
+    assert metrics["roll_variation_100hz"] >= metrics["roll_variation_decisions"]
+
+
+def test_roll_variation_stands_beside_pitch_variation_where_the_engine_is_in_3_d() -> None:
+    rolls = {"roll_variation_decisions": 0.5, "roll_variation_100hz": 0.8}
+    ours = [sample(seed, "reached", 1.0, **rolls) for seed in range(3)]
+    others = [
+        sample(seed, "reached", 1.0, **rolls | {"roll_variation_100hz": 1.0}) for seed in range(3)
+    ]
+    table, *_ = tables(document(made(ours, {"level": others})), "mine")
+    assert [column.heading for column in table.columns][-3:] == [
+        *("pitch variation [rad]", "roll variation [rad]", "time [s]")
+    ]
+    (note,) = table.notes
+    assert "pitch variation +0.00 rad, roll variation -0.20 rad" in note
 
 
 def episode(bias: float) -> list[Transition]:

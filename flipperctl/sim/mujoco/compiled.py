@@ -110,19 +110,20 @@ def run(
     s: Scene,
     targets: FloatArray,
     share: float,
-    work: float,
+    sums: FloatArray,
     poses: FloatArray,
     limits: tuple[float, ...],
-) -> tuple[int, bool, float]:
+) -> tuple[int, bool]:
     """Fill the rows of ``poses``, one per sample, until a limit is reached or the robot has fallen.
 
     ``poses`` is (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. ``targets``: of
-    the flippers, (4,) [rad]. ``share``: of the robot's speed at which the belts run [-]. ``work``:
-    of the servos before [J]. Return the number of filled rows, whether the run is over, and the
-    work after.
+    the flippers, (4,) [rad]. ``share``: of the robot's speed at which the belts run [-]. ``sums``:
+    the servos' work [J] and the roll's changes [rad], to which the run adds, (2,). Return the
+    number of filled rows, and whether the run is over.
     """
     angles, turned, torques = s.pose[HINGES], np.empty(4), np.empty(4)
     stop, finish, top, half, slope, end, level = limits
+    roll = roll_of(s.pose, s.up)
     for sample in range(len(poses)):
         # The velocities that the servos demand, and the speeds of the belts
         for i in range(4):
@@ -138,12 +139,14 @@ def run(
         for _ in range(s.substeps):
             _step(s.model, s.data)
             torques += s.torques
-        work += np.abs(torques / s.substeps * (angles - turned)).sum()
+        sums[0] += np.abs(torques / s.substeps * (angles - turned)).sum()
+        earlier, roll = roll, roll_of(s.pose, s.up)
+        sums[1] += abs(roll - earlier)
         # The pose, with the mean angles of both sides
         x, z, pitch = s.pose[0], s.pose[2], pitch_of(s.pose, s.up)
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, pitch
         poses[sample, 3] = (angles[0] + angles[2]) / 2
         poses[sample, 4] = (angles[1] + angles[3]) / 2
         if has_fallen(s) or _is_over(x, z, pitch, stop, finish, top, half, slope, end, level):
-            return sample + 1, True, work
-    return len(poses), False, work
+            return sample + 1, True
+    return len(poses), False

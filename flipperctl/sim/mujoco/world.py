@@ -195,7 +195,7 @@ class MujocoWorld:
         )
         # Sums over the episode, and what pictures need once they are asked for
         self._samples = 0
-        self._work = 0.0
+        self._sums = np.zeros(2)  # the servos' work [J], the roll's changes [rad]
         self._shown: Shown | None = None
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
@@ -247,8 +247,8 @@ class MujocoWorld:
         while done < samples and not over:
             # The normal forces of a sample limit the friction of the next one.
             until = done + 1 if self._tracks.are_limited else samples
-            state = self._targets, self._tracks.share, self._work
-            count, over, self._work = run(self._scene, *state, poses[done:until], tuple(limits))
+            state = self._targets, self._tracks.share, self._sums
+            count, over = run(self._scene, *state, poses[done:until], tuple(limits))
             done += count
             self._tracks.limit(self.data)
         self._samples += done
@@ -317,7 +317,11 @@ class MujocoWorld:
 
         It is the sum over samples and flippers of |mean torque times the flipper's turn|.
         """
-        return self._work
+        return float(self._sums[0])
+
+    def roll_variation(self) -> float:
+        """Return the sum of the absolute roll changes from sample to sample [rad]."""
+        return float(self._sums[1])
 
     def penetration(self) -> float:
         """Return the largest depth by which the robot overlaps the ground [m]."""
@@ -371,10 +375,11 @@ class MujocoWorld:
         """Return a snapshot for ``load``, from which runs continue bit for bit."""
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
-        return state, self._targets, self._samples, self._work, self._tracks.pressed
+        return state, self._targets, self._samples, self._sums.copy(), self._tracks.pressed
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        state, self._targets, self._samples, self._work, pressed = saved
+        state, self._targets, self._samples, sums, pressed = saved
+        self._sums = sums.copy()
         self._tracks.restore(pressed)
         mujoco.mj_setState(self.model, self.data, state, _STATE)

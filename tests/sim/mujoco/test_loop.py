@@ -29,15 +29,16 @@ def axes(pose: list[float]) -> FloatArray:
 
 
 def plain(world: MujocoWorld, robot: Robot, gain: float, share: float) -> list[list[float]]:
-    """Return 60 poses with the work of the servos after each, in steps of Python."""
+    """Return 60 poses, with servos' work and roll variation after each, in steps of Python."""
     model, data = world.model, world.data
     still, sides = model.geom_surfacevel.copy(), np.zeros(model.ngeom)
     for part in range(model.ngeom):
         name = model.geom(part).name
         sides[part] = name.endswith("left") - 1.0 * name.endswith("right")
-    poses, work = [], 0.0
+    poses, work, rolled = [], 0.0, 0.0
     for _ in range(60):
-        before, ahead = data.qpos.tolist(), axes(data.qpos.tolist())[:, 0]
+        before = data.qpos.tolist()
+        ahead, across = axes(before)[:, 0], axes(before)[:, 1]
         for i, target in enumerate(2 * TARGETS):
             speed = 25.0 * (target - before[7 + i])
             data.ctrl[i] = min(robot.flipper_speed, max(-robot.flipper_speed, speed))
@@ -51,10 +52,11 @@ def plain(world: MujocoWorld, robot: Robot, gain: float, share: float) -> list[l
             torques += data.actuator_force
         pose = data.qpos.tolist()
         work += float(np.abs(torques / 4 * (data.qpos[7:11] - before[7:11])).sum())
-        ahead = axes(pose)[:, 0]
-        rise = ahead @ [0.0, math.sin(SLOPE), math.cos(SLOPE)]
+        up = np.array([0.0, math.sin(SLOPE), math.cos(SLOPE)])
+        rolled += abs(math.asin(axes(pose)[:, 1] @ up) - math.asin(across @ up))
+        rise = axes(pose)[:, 0] @ up
         angles = (pose[7] + pose[9]) / 2, (pose[8] + pose[10]) / 2
-        poses.append([pose[0], pose[2], math.asin(rise), *angles, work])
+        poses.append([pose[0], pose[2], math.asin(rise), *angles, work, rolled])
     return poses
 
 
@@ -65,6 +67,9 @@ def test_does_what_a_loop_in_python_does(gain: float, share: float) -> None:
     compiled.command(*TARGETS)
     compiled.run_belts(share)
     expected = plain(stepped, robot, gain, share)
-    poses = [[*compiled.advance(1)[0], compiled.flipper_work()] for _ in range(60)]
+    poses = [
+        [*compiled.advance(1)[0], compiled.flipper_work(), compiled.roll_variation()]
+        for _ in range(60)
+    ]
     # The rotation of MuJoCo's library may differ in its last bit.
     assert poses == pytest.approx(np.array(expected), abs=1e-9)
