@@ -246,6 +246,8 @@ class Engine(Plugin, ABC):
     kind: ClassVar[str] = "sim"
     without_effect: ClassVar[frozenset[str]] = frozenset()
     """Names of the settings that change the speed of a simulation but not its results."""
+    added: ClassVar[frozenset[str]] = frozenset()
+    """Names of settings that a later version added; hashes of conditions lack their defaults."""
 
     @abstractmethod
     def place(

@@ -167,9 +167,10 @@ def _without_effect(config: EvalConfig, section: str) -> set[str]:
         if setting.section == section
     }
     default, drawn = type(configured)(), configured.model_copy(update=sampled)
+    added = configured.added if section == "sim" else frozenset()
     return {
         name
-        for name in configured.without_effect
+        for name in configured.without_effect | added
         if name in drawn.without_effect or getattr(configured, name) == getattr(default, name)
     }
 

@@ -25,6 +25,7 @@ class Mujoco(MujocoSettings, Engine):
     """
 
     without_effect: ClassVar[frozenset[str]] = frozenset({"view"})
+    added: ClassVar[frozenset[str]] = frozenset({"stagger", "oblique", "mirrored"})
 
     def place(
         self, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator

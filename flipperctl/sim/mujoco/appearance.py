@@ -43,6 +43,10 @@ class Mesh(NamedTuple):
     triangles: FloatArray  # (F, 3, 3) x, y, z of each corner, anticlockwise from outside [m]
     colour: str  # as in HTML
 
+    def slanted(self, slant: float) -> Mesh:
+        """Return the mesh moved ahead by ``slant`` for each metre to the left [-]."""
+        return Mesh(self.triangles + self.triangles[..., 1:2] * (slant, 0.0, 0.0), self.colour)
+
 
 class Track(NamedTuple):
     """A track in the frame of its body: x ahead, y to the left, z up."""

@@ -66,7 +66,7 @@ def ground_urdf(ground: Sequence[Box]) -> str:
     for box in ground:
         shape = "box", {"size": _numbers(2 * half for half in box.half)}
         # Up towards +x is a turn about -y.
-        _shape(link, box.centre, (0.0, -box.tilt, 0.0), shape)
+        _shape(link, box.centre, (0.0, -box.tilt, box.turn), shape)
     ElementTree.SubElement(ElementTree.SubElement(root, "gazebo"), "static").text = "true"
     return _text(root)
 

@@ -9,7 +9,7 @@ fields took 3 to 18 times as long and agreed less with the planar engine.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -143,6 +143,8 @@ _PATCH = 0.25  # length of a patch of rough ground [m]
 _STRIP = 0.2  # width of a patch of rough ground [m]
 _ROUGH_HALF = 1.0  # rough ground to each side of the middle [m]
 _INCLINE = 1.0  # shortest incline that replaces a step up or down on the right [m]
+_PIECES = 1.0, 0.1
+"""Largest length of a box that lies obliquely: on one strip, and where strips differ [m]."""
 ROUGH_MARGIN = 0.2
 """Rough ground before the first and past the last edge [m]."""
 
@@ -153,6 +155,7 @@ class Box(NamedTuple):
     centre: tuple[float, float, float]  # x, y, z [m]
     half: tuple[float, float, float]  # half its length, width and thickness [m]
     tilt: float  # slope of its upper face, up towards +x positive [rad]
+    turn: float = 0.0  # about the z axis, to the left positive [rad]
 
 
 class Ground(NamedTuple):
@@ -170,11 +173,13 @@ def lay(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> Grou
     boxes, driven = list[Box](), list[Strip]()
     for low, high, line in strips:
         # The settings change a strip before it becomes boxes: its height first, then its roughness.
-        strip = _lowered(line, sim.one_sided) if high <= 0 else line
+        strip = _farther(_lowered(line, sim.one_sided), sim.stagger) if high <= 0 else line
         if sim.roughness and max(-low, high) <= _ROUGH_HALF:
             ends = profile.start - ROUGH_MARGIN, profile.end + ROUGH_MARGIN
             strip = _roughened(strip, ends, sim.roughness, rng)
         driven.append(Strip(low, high, strip))
+        if sim.oblique:
+            (low, high), strip = _widened(low, high), strip * (math.cos(sim.oblique), 1.0)
         boxes += _extruded(strip, low, high, base)
         # The boards of a surface leave gaps at their sides where the next strip is lower.
         if profile.surface is not None and len(strips) > 1:
@@ -184,6 +189,11 @@ def lay(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> Grou
                 f"sim=mujoco: the ground below {len(profile.points)} points needs more than "
                 f"{MOST} boxes; {_SMALLER if profile.surface else _SIMPLER}"
             )
+    if sim.oblique:
+        boxes = [*_oblique(boxes, sim.oblique, _cells(profile, sim, len(strips) > 1))]
+    if sim.mirrored:
+        boxes = [Box((x, -y, z), half, tilt, -turn) for (x, y, z), half, tilt, turn in boxes]
+        driven = [Strip(-high, -low, line) for low, high, line in reversed(driven)]
     return Ground(driven, boxes)
 
 
@@ -192,7 +202,7 @@ def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
     half = GROUND_WIDTH / 2
     # Borders at which the settings change the ground; no joining of strips may remove them
     changed: set[float] = set()  # borders at which these settings change the ground
-    if sim.one_sided:
+    if sim.one_sided or sim.stagger:
         changed.add(0.0)
     if sim.roughness:
         count = round(2 * _ROUGH_HALF / _STRIP)
@@ -230,6 +240,48 @@ def _lowered(line: FloatArray, fraction: float) -> FloatArray:
     x, z = line.T
     between = np.interp(x, (x0, x1), (z0, z1)) if z0 != z1 else z0
     return np.column_stack([x, z + fraction * (between - z)])
+
+
+def _farther(line: FloatArray, distance: float) -> FloatArray:
+    """Return the polyline with the obstacle moved ahead between its ends, which stay [m]."""
+    moved = line.copy()
+    moved[1:-1, 0] += distance
+    return moved
+
+
+def _widened(low: float, high: float) -> tuple[float, float]:
+    """Return a strip's borders, those of the ground farther out, as turned boxes need them [m]."""
+    half, more = GROUND_WIDTH / 2, 2 * _PIECES[0]
+    return low - more * (low == -half), high + more * (high == half)
+
+
+def _oblique(boxes: Sequence[Box], angle: float, cells: FloatArray) -> Iterator[Box]:
+    """Yield boxes whose edges lie at ``angle`` across the way, from boxes that lie straight.
+
+    Their x are shortened by the angle's cosine, so that the outline along the way stays. ``cells``:
+    ascending x (C,) at which boxes are cut [m]; within a cell, borders of strips lie as its edges.
+    """
+    sin, cos = math.sin(angle), math.cos(angle)
+    for (x, y, z), (length, width, thick), tilt, _ in boxes:
+        flat, rise = math.cos(tilt), math.sin(tilt)
+        inner = cells[np.abs(cells - x) < length * flat - CLOSE]
+        ends = [-length, *((inner - x) / flat).tolist(), length]
+        for low, high in pairwise(ends):
+            # The piece's middle along the edges' normal, and the middle of its cell
+            at = x + (low + high) / 2 * flat
+            cell = int(np.searchsorted(cells, at))
+            moved = (float(cells[cell - 1 : cell + 1].mean()) - at) * sin
+            place = at / cos + (y + moved) * sin / cos, y + moved, z + (low + high) / 2 * rise
+            yield Box(place, ((high - low) / 2, width / cos, thick), tilt, -angle)
+
+
+def _cells(profile: Profile, sim: MujocoSettings, fine: bool) -> FloatArray:
+    """Return where ``_oblique`` cuts, (C,) [m]: finely where strips differ."""
+    cos, margin = math.cos(sim.oblique), sim.stagger + _INCLINE
+    low, high = (math.floor(cos * (x + d)) for x, d in ((profile.start, -1), (profile.end, 1)))
+    far = np.arange(low - LEVEL_GROUND - 1, high + LEVEL_GROUND + 3, _PIECES[0])
+    near = np.arange(low, high + 1 + math.ceil(margin), _PIECES[1])
+    return np.unique(np.concatenate([far, near]).round(6)) if fine else far
 
 
 def _roughened(

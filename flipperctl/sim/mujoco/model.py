@@ -77,7 +77,7 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = _SLIP
     # Gravity is tilted instead of the ground, which is equivalent and keeps boxes upright.
-    slope = sim.lateral_slope
+    slope = sim.handed * sim.lateral_slope
     option.gravity = [0.0, -sim.gravity * math.sin(slope), -sim.gravity * math.cos(slope)]
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)  # one robot is one island
@@ -87,7 +87,7 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
             type=mujoco.mjtGeom.mjGEOM_BOX,
             pos=box.centre,
             size=box.half,
-            quat=[math.cos(box.tilt / 2), 0.0, -math.sin(box.tilt / 2), 0.0],
+            quat=_quaternion(box),
             contype=0,
             conaffinity=1,
             rgba=rgba(EARTH),
@@ -95,6 +95,13 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
         )
     _add_robot(spec, robot, sim)
     return spec
+
+
+def _quaternion(box: Box) -> list[float]:
+    """Return (w, x, y, z) of a box that is tilted and then turned about the vertical."""
+    cos, sin = math.cos(box.tilt / 2), math.sin(box.tilt / 2)
+    w, z = math.cos(box.turn / 2), math.sin(box.turn / 2)
+    return [cos * w, 0.0 + sin * z, -sin * w, cos * z]
 
 
 def rgba(colour: str) -> list[float]:

@@ -78,6 +78,24 @@ class MujocoSettings(Settings):
         "between its ends; the line is at least 1 m long, so that a single step becomes an "
         "incline there [-]",
     )
+    stagger: float = Field(
+        0.0,
+        ge=0,
+        le=1,
+        description="distance by which the obstacle is farther ahead on the right side [m]",
+    )
+    oblique: float = Field(
+        0.0,
+        ge=-0.8,
+        le=0.8,
+        description="angle at which the obstacle's edges lie across the way, farther ahead on the "
+        "left positive; along the way the obstacle stays as it is [rad]",
+    )
+    mirrored: bool = Field(
+        False,
+        description="whether left and right of the ground are exchanged: those of one_sided, "
+        "stagger, oblique, lateral_slope and of a recorded surface [-]",
+    )
     scenery: Literal["none", "walls", "posts"] = Field(
         "none",
         description="what stands beside the way on both sides, seen by sensors that cast rays and "
@@ -114,6 +132,16 @@ class MujocoSettings(Settings):
         description="selects the random yaw, offset and roughness: another number gives others "
         "in the episodes of the same seed [-]",
     )
+
+    @property
+    def handed(self) -> float:
+        """-1 if the ground is mirrored, else 1 [-]."""
+        return -1.0 if self.mirrored else 1.0
+
+    @property
+    def slant(self) -> float:
+        """Distance by which the obstacle lies farther ahead for each metre to the left [-]."""
+        return self.handed * math.tan(self.oblique)
 
     @model_validator(mode="after")
     def _divides_the_sample(self) -> MujocoSettings:

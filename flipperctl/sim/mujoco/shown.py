@@ -87,8 +87,8 @@ class Shown:
         cut = -min(sim.flipper_offset + sim.track_width / 2 + sim.offset + _BESIDE, wide)
         for low, high, group in ((cut, wide, 0), (-wide, cut, RIGHT)):
             for mesh in ground_meshes(strips, low, high):
-                _add(spec, "world", mesh, group)
-        _add(spec, "world", profile_line(strips, cut), OUTSIDE)
+                _add(spec, "world", mesh.slanted(sim.slant), group)
+        _add(spec, "world", profile_line(strips, cut).slanted(sim.slant), OUTSIDE)
         # Walls and posts stand where they are in the simulated model.
         for index in range(simulated.ngeom):
             geom = simulated.geom(index)

@@ -189,7 +189,7 @@ class MujocoWorld:
             substeps=round(SAMPLE_PERIOD / sim.substep),
             rate=robot.flipper_speed,
             gain=sim.heading_gain,
-            up=(0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)),
+            up=(0.0, math.sin(sim.handed * sim.lateral_slope), math.cos(sim.lateral_slope)),
             half_width=GROUND_WIDTH / 2,
             roll_limit=sim.roll_limit,
         )
@@ -225,7 +225,9 @@ class MujocoWorld:
             tip = robot.hinge_offset + robot.flipper_axle * math.cos(start.front)
             rough = self.profile.start - ROUGH_MARGIN
             farther += max(0.0, start.x + corner + (tip + robot.track_radius) - rough)
-        nearest = start.x - farther
+        # The edges of oblique ground reach back on one side.
+        outer = sim.flipper_offset + sim.track_width / 2 + abs(float(pose[1]))
+        nearest = start.x - farther - outer * abs(sim.slant)
         while (depth := self.penetration()) > OVERLAP and pose[0] > nearest:
             pose[0] = max(nearest, pose[0] - depth)
 

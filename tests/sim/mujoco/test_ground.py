@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
 from flipperctl.api import MirroredSurface, Profile, Robot, Start, Surface, registry
 from flipperctl.errors import PluginFailedError, TerrainError
+from flipperctl.sim.ground import OVERLAP
 from flipperctl.sim.mujoco import Mujoco, ground
 from flipperctl.sim.mujoco.ground import Box, lay
 from flipperctl.sim.mujoco.world import MujocoWorld
@@ -24,7 +26,7 @@ def made(profile: Profile, **sim: float) -> list[Box]:
 def height_at(found: list[Box], x: float, y: float) -> float:
     """Return the height of the highest box at (x, y) [m]."""
     heights = [-math.inf]
-    for (cx, cy, cz), (length, width, thick), tilt in found:
+    for (cx, cy, cz), (length, width, thick), tilt, _ in found:
         if abs(y - cy) > width:
             continue
         corners = [
@@ -74,7 +76,7 @@ def test_a_face_below_a_slope_is_a_board_of_its_own() -> None:
     # The tread behind the face is tilted, so that no column's side is the face.
     found = made(Profile([(0, 0), (0, 0.2), (0.5, 0.3), (0.5, 0.0)]))
     (face,) = (box for box in found if box.tilt == pytest.approx(math.pi / 2))
-    (x, _, z), (length, width, thick), _ = face
+    (x, _, z), (length, width, thick), *_ = face
     assert (x - thick, z, length, width) == pytest.approx((0.0, 0.1, 0.1, 2.0))
 
 
@@ -92,6 +94,52 @@ def test_a_single_step_on_the_left_alone_is_an_incline_on_the_right(height: floa
     half = made(Profile([(0, 0), (0, height)]), one_sided=0.5)  # a step of half the height
     assert height_at(half, 0.001, -0.3) == pytest.approx(0.5 * height, abs=1e-3)
     assert height_at(half, 0.5, -0.3) == pytest.approx(0.75 * height)
+
+
+SIDES = [
+    {"oblique": 0.7},
+    {"stagger": 0.3},
+    {"oblique": -0.5, "one_sided": 1.0},
+    {"oblique": 0.4, "stagger": 0.3, "one_sided": 0.5, "mirrored": True},
+]
+
+
+@pytest.mark.parametrize("sim", SIDES)
+@pytest.mark.parametrize("name", ["pallet", "ramp"])
+def test_sides_differ_as_the_settings_say(sim: dict[str, float], name: str) -> None:
+    on = registry["terrain", name]().generate(np.random.default_rng(2))
+    world, rng = place(on, **sim), np.random.default_rng(0)
+    x, y = rng.uniform(-3.0, on.end + 3.0, 500), rng.uniform(-1.9, 1.9, 500)
+    down = np.array([[0.0, 0.0, -1.0]])
+    found = [
+        3.0 - world.cast_rays(np.array([*at, 3.0]), down, 9.0)[0] for at in zip(x, y, strict=True)
+    ]
+    # The outline along the way is that of the profile; the rule is written for the left.
+    across = -y if sim.get("mirrored") else y
+    along = x - across * math.tan(sim.get("oblique", 0.0))
+    right = np.where(across < 0, 1.0, 0.0)
+    expected = np.array([on.height(at) for at in along - right * sim.get("stagger", 0.0)])
+    expected *= 1 - right * sim.get("one_sided", 0.0)
+    # The border in the middle is saw-toothed where edges lie obliquely, by half of 10 cm.
+    clear = np.abs(y) > 0.05 * abs(math.tan(sim.get("oblique", 0.0)))
+    assert np.array(found)[clear] == pytest.approx(expected[clear], abs=0.012)
+
+
+def test_a_mirrored_ground_mirrors_the_motion() -> None:
+    sim = {"one_sided": 1.0, "oblique": 0.3, "stagger": 0.1, "lateral_slope": 0.05}
+    on = registry["terrain", "pallet"]().generate(np.random.default_rng(2))
+    left, right = place(on, **sim), place(on, **sim, mirrored=True)
+    for world in (left, right):
+        world.command(0.5, 0.0)
+        world.advance(500)
+    assert abs(left.roll) > 0.02
+    assert (right.roll, right.yaw) == pytest.approx((-left.roll, -left.yaw), abs=0.02)
+    assert right.position == pytest.approx(left.position, abs=0.02)
+
+
+def test_a_robot_starts_clear_of_edges_that_reach_back() -> None:
+    world = place(Profile([(-0.2, 0), (-0.2, 0.2), (1, 0.2)]), oblique=0.7)
+    assert world.penetration() <= OVERLAP
 
 
 def test_roughness_shifts_patches_over_the_obstacle_alone() -> None:
@@ -130,7 +178,7 @@ def block(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.where((x > 0.99) & (x < 2.01), 0.2, 0.0)
 
 
-def place(on: Profile, **sim: float) -> MujocoWorld:
+def place(on: Profile, **sim: Any) -> MujocoWorld:
     world = Mujoco(**sim).place(on, Robot(), Start(-1.0), np.random.default_rng(0))
     assert isinstance(world, MujocoWorld)
     return world
@@ -152,7 +200,7 @@ def test_the_boxes_follow_the_surface_at_the_middle_of_each_strip() -> None:
 
 def is_ground(found: list[Box], x: float, y: float, z: float) -> bool:
     """Return whether (x, y, z) lies in a box."""
-    for (cx, cy, cz), (length, width, thick), tilt in found:
+    for (cx, cy, cz), (length, width, thick), tilt, _ in found:
         along = (x - cx) * math.cos(tilt) + (z - cz) * math.sin(tilt)
         across = (z - cz) * math.cos(tilt) - (x - cx) * math.sin(tilt)
         if abs(along) <= length and abs(across) <= thick and abs(y - cy) <= width:
