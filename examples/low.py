@@ -1,7 +1,7 @@
 """A reward of your own: flippers that stay low, as under a cable or with an arm on the robot.
 
 Try it: ``flipperctl train terrain=gap experiment=searched ~rewards.flipper ~rewards.pitch
-rewards.low=low +reward@rewards.travel=travel --plugins examples/low.py``
+rewards.low=low rewards.travel=travel --plugins examples/low.py``
 """
 
 from typing import ClassVar

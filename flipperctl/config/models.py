@@ -8,6 +8,7 @@ without the plugins of its training's terrain and rewards: ``with_stand_ins`` re
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NoReturn, cast
 
@@ -50,14 +51,14 @@ from flipperctl.text.messages import close_match, missing_plugin
 
 def _plugin(kind: str) -> tuple[BeforeValidator, PlainSerializer]:
     """Return what reads and writes the plugin of the section ``kind``."""
+    return BeforeValidator(partial(_read, kind)), PlainSerializer(to_dict)
 
-    def read(value: object) -> object:
-        default = _DEFAULTS.get(kind)
-        if default and isinstance(value, Mapping) and "name" not in value:
-            value = {"name": default, **value}
-        return create(kind, value, kind)
 
-    return BeforeValidator(read), PlainSerializer(to_dict)
+def _read(kind: str, value: object) -> Any:
+    default = _DEFAULTS.get(kind)
+    if default and isinstance(value, Mapping) and "name" not in value:
+        value = {"name": default, **value}
+    return create(kind, value, kind)
 
 
 def _rewards(value: object) -> object:
@@ -236,6 +237,14 @@ class TrainConfig(EnvConfig):
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of all randomness [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
 
+    @model_validator(mode="before")
+    @classmethod
+    def _check_learner_first(cls, values: Any) -> Any:
+        # Rewards and the teacher repeat its discount: an error names the key that was typed.
+        if isinstance(values, Mapping) and "agent" in values:
+            return {**values, "agent": _read("agent", values["agent"])}
+        return values
+
     @model_validator(mode="after")
     def _check(self) -> TrainConfig:
         for fault in (*self._faults(), *self._faults_of_rewards()):
@@ -264,7 +273,7 @@ class TrainConfig(EnvConfig):
             yield (
                 "rewards: a training needs a term whose weight is not 0 (terms: "
                 f"{', '.join(self.rewards) or 'none'}); add one with "
-                "+reward@rewards.pitch=pitch, or leave rewards=paper as it is"
+                "rewards.pitch=pitch, or leave the rewards as they are"
             )
 
         # Shaping leaves the optimal policy as it is only with the learner's own discount.

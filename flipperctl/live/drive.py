@@ -237,6 +237,7 @@ class Person:
         floor = self._page.stage.begin([env.profile])
         self._scene.begin(env.profile, robot, shown.finish, floor)
         self._scene.show(env.state)
+        self._page.stage.follow([env.state])
         world = env.drive.world
         self._cameras = isinstance(world.of_engine, CameraWorld)
         # What the page needs to draw the robot and its gauges

@@ -37,6 +37,8 @@ _FLOOR = "#CBC5BA"
 _WIDE = 20.0  # half the width of the floor [m]
 _HAZE = 8.0, 15.0  # distance from the camera at which the haze begins, and is all that is seen [m]
 _CLEARER = 1.4, 0.5  # by how much farther they are for each further lane [m]
+_NAME = 1.2, 0.4
+"""Where the name of a lane begins: x from its robot, and y [m]."""
 _THIN = 0.02  # ground of a lane above the floor, at its lowest point [m]
 _SKIES = {False: ("#C3DAEE", SKY), True: ("#1C2530", "#252E39")}
 """Colours of the sky at its top and at the horizon, by whether the page is dark."""
@@ -189,11 +191,12 @@ class LiveScene:
         gate.append([[finish, -WIDTH / 2, z + 0.01], [finish, WIDTH / 2, z + 0.01]])
         self._lines("finish", np.array(gate), REAR, 4.0)
         self._build(robot)
-        if label:
-            self._scene.add_label(
-                f"{self._name}/chassis/label", label, position=(0.0, 0.0, 0.45),
-                anchor="bottom-center",
-            )  # fmt: skip
+        self._profile = profile
+        # The name lies on the ground ahead: above its robot it would hide those of farther lanes.
+        self._label = self._scene.add_label(
+            f"{self._name}/label", label, visible=bool(label), anchor="bottom-left",
+            font_screen_scale=0.8,
+        )  # fmt: skip
 
     def _build(self, robot: RobotGeometry) -> None:
         self._robot = robot
@@ -215,6 +218,8 @@ class LiveScene:
         chassis = self._parts["chassis"]
         chassis.position = (x, state.side, z)
         chassis.wxyz = _quaternion(rotation(state))
+        ahead = x + _NAME[0]
+        self._label.position = (ahead, _NAME[1], self._profile.height(ahead))
         # A flipper that is raised by θ turns against the y axis in front, and with it at the rear.
         self._parts["front"].wxyz = _about_y(-state.front)
         self._parts["rear"].wxyz = _about_y(state.rear)

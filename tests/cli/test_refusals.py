@@ -51,6 +51,7 @@ eval --controller level train.decisions=5 \
 train collector.max_lag=3 -> collector=local has no settings here
 inspect run nope -> nope holds no metrics.csv; there is no such folder
 train 'terrain=step seed=3' -> 'terrain=step seed=3': Hydra cannot read this override
+train agent.gamma=1.5 -> agent.gamma: Input should be less than 1 | the value is 1.5
 train seed=1,2 -> seed=1,2: several values | add -m
 eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher

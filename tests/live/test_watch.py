@@ -223,6 +223,35 @@ def test_the_light_of_the_day_shows_the_colours_of_films() -> None:
         assert scene._AFTER_CURVE @ v == pytest.approx(scene._linear(colour), abs=0.02)
 
 
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_name_lies_over_no_robot(count: int) -> None:
+    server, robot = MagicMock(), Robot()
+    scene.Stage(server).look_at_lanes(count)
+    camera = server.initial_camera
+    place, towards = np.array(camera.position), np.subtract(camera.look_at, camera.position)
+    towards /= np.linalg.norm(towards)
+    right = np.cross(towards, [0.0, 0.0, 1.0])
+    axes = np.stack([right, np.cross(right, towards)], axis=1) / np.linalg.norm(right)
+    tangent = math.tan(camera.fov / 2)
+
+    def seen(points: np.ndarray) -> np.ndarray:  # parts of half a picture's height, (P, 2)
+        return (points - place) @ axes / ((points - place) @ towards)[:, None] / tangent
+
+    def overlap(a: np.ndarray, b: np.ndarray) -> bool:
+        return bool((np.minimum(a.max(0), b.max(0)) > np.maximum(a.min(0), b.min(0))).all())
+
+    # Robots on level ground, which is 0.1 m below them, and names in the smallest picture
+    height, letters = 320, np.array([[0, 0], [90, 18]])
+    half, wide, up = robot.hinge_offset + robot.flipper_axle + 0.1, 0.35, 0.25
+    corners = [(x, y, z) for x in (-half, half) for y in (-wide, wide) for z in (-0.1, up)]
+    places = [lane * (scene.WIDTH + scene._BETWEEN) for lane in range(count)]
+    bodies = [seen(np.add(corners, (0.0, y, 0.0))) for y in places]
+    for y in places:
+        begin = seen(np.array([[scene._NAME[0], y + scene._NAME[1], -0.1]]))
+        name = begin + letters * 2 / height
+        assert not any(overlap(name, body) for body in bodies)
+
+
 @pytest.mark.parametrize("name", ["mpc", "planner"])
 def test_a_plan_is_shown_as_it_is_made(name: str) -> None:
     load(())
