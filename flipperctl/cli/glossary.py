@@ -61,11 +61,11 @@ pitch variation: How much the robot rocks: the sum of all absolute pitch changes
 pitch variation at decisions: Pitch variation with one sample per decision (0.6 s), as the paper
     seems to count it. It misses what happens between two decisions.
 policy: What chooses the actions: a run, a checkpoint, an .onnx file, a shipped policy, a file of
-    tune or a controller.
+    tune, a folder of drives, hf:USER/NAME or a controller.
 profile: The ground in the robot's side view: a line of points (x, z) [m].
 reached: Outcome: the robot passed the finish and stands on the ground again.
-regret: The reward that a policy misses compared with the best one for the same rewards. A search
-    computes the best.
+regret: The reward that a policy misses compared with the best of several references on the same
+    episodes (inspect reward --regret).
 return: The sum of the rewards of an episode. It depends on the rewards; pitch variation and
     success do not.
 reward: What training maximises: a weighted sum of terms at each decision. flipperctl list rewards

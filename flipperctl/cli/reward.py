@@ -27,7 +27,7 @@ _FIELD = "controller."
 def reward(
     words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[POLICY...] [SETTING...]", help="Policies [okada]; key=value."),
+        typer.Argument(metavar="[POLICY...] [SETTING...]", help="Policies, else okada; key=value."),
     ] = None,
     regret: Annotated[
         bool, typer.Option("--regret", help="The return that a policy lacks.")

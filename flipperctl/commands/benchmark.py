@@ -25,9 +25,7 @@ def benchmark(
         list[str] | None,
         typer.Argument(metavar="POLICY... [eval.KEY=VALUE]", help="Policies, as in eval."),
     ] = None,
-    version: Annotated[
-        str, typer.Option(metavar="NAME", help="Version of the benchmark [1].")
-    ] = "1",
+    version: Annotated[str, typer.Option(metavar="NAME", help="Version of the benchmark.")] = "1",
     edition: Annotated[
         str, typer.Option(metavar="SALT", help="Draw other episodes than the public ones.")
     ] = "",
@@ -39,7 +37,7 @@ def benchmark(
     ] = None,
     share: Annotated[
         float,
-        typer.Option(min=0, max=1, metavar="X", help="Share of the episodes to verify [0.05]."),
+        typer.Option(min=0, max=1, metavar="X", help="Share of the episodes to verify."),
     ] = 0.05,
     jobs: options.Jobs = None,
     output: Annotated[

@@ -36,6 +36,8 @@ def names(labels: Sequence[str]) -> dict[str, str]:
 def _last(text: str, count: int, with_seed: bool) -> str:
     """Return the last parts of a path; settings in the last part are shortened to their values."""
     *folders, last = text.split("/")
+    if folders and not with_seed and re.fullmatch(r"\d+_seed=\d+", last):
+        last = folders.pop()  # a sweep of seeds alone is called by its folder
     parts: list[str] = []
     for part in map(str.strip, _JOB.sub("", last).split(",")):
         key, equals, value = part.partition("=")

@@ -34,6 +34,7 @@ from flipperctl.evaluation.seeds import (
 )
 from flipperctl.evaluation.statistics import Interval, holm
 from flipperctl.evaluation.stored import Stored, read
+from flipperctl.text.messages import counted
 from flipperctl.text.show import Column, Table
 from flipperctl.views.summary import ROLLS, Document, p_text, rate_text
 
@@ -53,7 +54,7 @@ _GAPS = (
     Column("name", "method", named=True),
     Column("other", "against", named=True),
     Column("score", "Δ score", 3, "+"),
-    Column("p_text", "p (Holm)"),
+    Column("p_text", "p"),
     Column("success_text", "Δ success [%] (p)"),
     Column("better", "better, episodes", 2),
 )
@@ -233,7 +234,9 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
     notes = [f"Score: {label}; a failed episode counts {price}, and a crossing at most that."]
     yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
     if gaps:
-        yield Table(_GAPS, gaps, "Differences on the same episodes; a smaller score is better")
+        title = "Differences on the same episodes; a smaller score is better"
+        note = f"p: Holm's correction for {counted(len(gaps), 'difference')}."
+        yield Table(_GAPS, gaps, title, [note])
 
 
 def paper_table(compared: Document, label: str) -> Table:

@@ -162,9 +162,10 @@ def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iter
     rows = list(difference_rows(evaluated, "scene" in {column.key for column in table.columns}))
     # A few differences are sentences below the table; many are a table of their own.
     if 0 < len(rows) <= _LINES and not any(row["scene"] for row in rows):
-        table.notes += [
-            _sentence(row, several=len({r["policy"] for r in rows}) > 1) for row in rows
-        ]
+        tested = [other for *_, scene in _policies(evaluated) for other in compared(scene)]
+        of = sum(1 + len(other["difference"].get("parts", ())) for other in tested)
+        several = len({row["policy"] for row in rows}) > 1
+        table.notes += [_sentence(row, several=several, of=of) for row in rows]
     yield table
     if rows and not table.notes:
         head = [
@@ -350,12 +351,13 @@ def difference_rows(evaluated: Document, with_scene: bool = True) -> Iterator[Ro
             }
 
 
-def _sentence(row: Row, *, several: bool) -> str:
+def _sentence(row: Row, *, several: bool, of: int) -> str:
     text = "no episode that both reach" if row["variation"] is None else _gap(row["variation"])
     if row["roll"] is not None:
         text += f", roll variation {_gap(row['roll'])}"
     who = f"{row['policy']} against {row['against']}" if several else f"against {row['against']}"
-    return f"{who}, same episodes: pitch variation {text}, success {gap_text(row['success'])}"
+    success = gap_text(row["success"], of)
+    return f"{who}, same episodes: pitch variation {text}, success {success}"
 
 
 def _gap(gap: Mapping[str, Any]) -> str:

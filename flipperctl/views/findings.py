@@ -124,7 +124,7 @@ def _best(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
     for name, scene_rows in by_scene(rows).items():
         if len(scene_rows) == 1:
             (row,) = scene_rows.values()
-            yield "", f"On {name}, {_words(row)}."
+            yield "", f"On {name}, {_words(row)} played alone."
 
 
 def _is_better(row: Row, other: Row, scene: str, gaps: Gaps) -> bool:

@@ -438,8 +438,10 @@ def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
     if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):
         facts["commit"] = " and ".join(commits)
     # Policies by the digest of their weights or settings, and scenes with their conditions
-    policies = dict.fromkeys(
-        (short(h["controller"]), h["training_seed"], h["policy"]) for h in headers
+    order = {policy: place for place, policy in enumerate(marks)}
+    policies = sorted(
+        {(short(h["controller"]), h["training_seed"], h["policy"]) for h in headers},
+        key=lambda policy: (order.get(policy[0], len(order)), policy[1] or 0, policy[2]),
     )
     played = Table(
         (

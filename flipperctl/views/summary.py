@@ -352,7 +352,11 @@ def p_text(p: float) -> str:
     return "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def gap_text(success: Mapping[str, Any]) -> str:
-    """Return a difference of success in percent, with its p-value where it is not 0."""
+def gap_text(success: Mapping[str, Any], of: int = 1) -> str:
+    """Return a difference of success in percent, with its p-value where it is not 0.
+
+    ``of``: of how many differences the p-value is corrected.
+    """
     mean, p = success["mean"], success["p_holm"]
-    return "±0" if mean == 0 else f"{100 * mean:+.3g} % (p {p_text(p)})"
+    holm_of = f", Holm of {of}" if of > 1 else ""
+    return "±0" if mean == 0 else f"{100 * mean:+.3g} % (p {p_text(p)}{holm_of})"

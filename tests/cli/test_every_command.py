@@ -19,7 +19,7 @@ def test_help_is_there_with_examples(
     monkeypatch.setenv("COLUMNS", "80")
     done = call(*command, "--help", cwd=tmp_path)
     assert done.code == 0
-    assert not re.search(r" \.\s", done.out)  # a part in brackets that was read as markup
+    assert not re.search(r"\w [.,;]\s", done.out)  # a part in brackets that was read as markup
     assert max(map(cell_len, done.out.splitlines())) <= 80
     found = typer.main.get_command(app)
     for name in command:

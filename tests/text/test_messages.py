@@ -49,7 +49,12 @@ class Plug(Plugin):
 
 @pytest.mark.parametrize(
     ("typed", "ours"),
-    [("lr", "agent.learning_rate"), ("--env-id", "terrain=NAME"), ("λ1", "rewards.flipper.lambda_1"), ("gamma", None)],
+    [
+        ("lr", "agent.learning_rate"),
+        ("--env-id", "terrain=NAME"),
+        ("λ1", "rewards.flipper.lambda_1"),
+        ("gamma", None),
+    ],
 )
 def test_words_of_other_tools_lead_to_ours(typed: str, ours: str | None) -> None:
     assert here(typed) == ours

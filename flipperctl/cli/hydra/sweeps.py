@@ -189,13 +189,13 @@ def _row(group: Sequence[SweepRun]) -> dict[str, Any]:
         [row[name] for row in rows if row[name] is not None]
         for name in ("success_rate", "pitch_variation_100hz", "t_cost")
     )
-    variation = f"{mean(variations):.3f}" if variations else NONE
+    variation = f"{mean(variations):.2f}" if variations else NONE
     if len(variations) > 1:
-        variation += f" [{min(variations):.3f}, {max(variations):.3f}]"
+        variation += f" ({min(variations):.2f} to {max(variations):.2f})"
     states = dict.fromkeys(run.state for run in group if run.state != "finished")
     named = group[0].folder.name if len(group) == 1 else counted(len(group), "run")
     return {
-        "success": f"{mean(rates):.1%}" if rates else NONE,
+        "success": f"{100 * mean(rates):.3g} %" if rates else NONE,
         "variation": variation,
         "t_cost": mean(times) if times else None,
         "runs": named + (f" ({', '.join(states)})" if states else ""),
@@ -230,7 +230,8 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     left = len(shown) - _ROWS
     more = f"{counted(left, 'more row')} and the table" if left > 0 else "the table"
     text = f"{more}: {quote_path(folder / FILE)}"
-    print_lines(out, [text])
+    ranges = ["In parentheses: the least and the largest of the runs."] * pooled
+    print_lines(out, [*ranges, text])
 
 
 def search_sweep(settings: Mapping[str, Any], **arguments: Any) -> Callable[[list[str]], None]:
