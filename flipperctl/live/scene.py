@@ -194,9 +194,8 @@ class LiveScene:
         self._profile = profile
         # The name lies on the ground ahead: above its robot it would hide those of farther lanes.
         self._label = self._scene.add_label(
-            f"{self._name}/label", label, visible=bool(label), anchor="bottom-left",
-            font_screen_scale=0.8,
-        )  # fmt: skip
+            f"{self._name}/label", label, visible=bool(label), anchor="bottom-left"
+        )
 
     def _build(self, robot: RobotGeometry) -> None:
         self._robot = robot
