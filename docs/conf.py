@@ -34,6 +34,7 @@ html_copy_source = False
 html_show_copyright = False
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
+html_search_scorer = str(Path(__file__).parent / "_static/scorer.js")
 
 
 def setup(app: Sphinx) -> None:

@@ -112,7 +112,11 @@ def raise_named(
         raise error
     where = place(error) or definition(plugin, method)
     if plain:
-        raise raised(f"{plugin_label(plugin)}: {_text(error)} ({method}, {where})") from error
+        # A built-in plugin's reason is enough; a user's own may be a mistake in its code.
+        module = (plugin if isinstance(plugin, type) else type(plugin)).__module__
+        inside = module.partition(".")[0] in ("flipperctl", "flipperctl_plugins")
+        at = "" if inside else f" ({method}, {where})"
+        raise raised(f"{plugin_label(plugin)}: {_text(error)}{at}") from error
     raise _named(error, f"{plugin_label(plugin)}{while_}: ", method, where, raised) from error
 
 

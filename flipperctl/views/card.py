@@ -278,14 +278,14 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
         f"seed {config.seed}{decisions}{'' if seconds is None else f' in {seconds:,.0f} s'}, with "
         f"flipperctl {document.versions['flipperctl']}.\n"
     )
-    # The command, if the run's folder has it, and the settings that it changed
+    # The command, if the run's folder has it, and what it and presets changed
     try:
         words = strict_yaml.read(policy / _OVERRIDES, _OVERRIDES.parent.name)
         yield f"```sh\n{shlex.join(['flipperctl', 'train', *map(str, words or ())])}\n```\n"
     except ConfigError:
         pass  # the command is not known
     if changed := _changed(config):
-        yield "Settings that differ from the defaults:\n"
+        yield "Settings that presets or the command changed from a plugin's defaults:\n"
         yield "| setting | value |\n|---|---|"
         yield from (f"| `{path}` | {value} |" for path, value in changed.items())
         yield ""
