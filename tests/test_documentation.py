@@ -185,7 +185,8 @@ def with_budget(command: list[str]) -> list[str]:
     if command[0] in ("eval", "map") or command[:2] == ["inspect", "reward"]:
         (name,) = [word for word in command if word in SEARCH] or [""]
         words = re.sub(r"--episodes \d+|--speed \d+", "", " ".join(command))
-        words = words.replace("suite=families", "terrain=step,ramp")  # tests/cli/test_scenes.py
+        # Suites are tests/cli/test_scenes.py's.
+        words = re.sub("suite=(families|sides)", "terrain=step,ramp", words)
         words = re.sub(r"(=[\d.]+:[\d.]+):\d+", r"\1:2", words)  # of a map
         words = re.sub(r"terrain=(\w+,\w+),[\w,]+", r"terrain=\1", words).split()
         sparse = SPARSE if command[0] == "eval" and "perception=lidar" in words else []

@@ -102,6 +102,10 @@ class Sensor(ObservationLayout, Plugin):
         """
         raise TypeError(f"sensor {type(self).__name__} measures by its instruments only")
 
+    def mounted(self, mounting: Mounting) -> GroundSensor:
+        """Return the sensor of one episode: ``over`` the ground, unless it needs more than that."""
+        return self.over(mounting.profile, mounting.margin)
+
     # Or instruments, which simulation alone has, and an estimator, which a robot runs, too.
     def instruments(self, mounting: Mounting) -> Mapping[str, Instrument] | None:
         """Return the instruments of one episode by name; None: the sensor implements ``over``."""

@@ -203,7 +203,8 @@ class ObservationLayout(Settings):
     """Layout of the numbers of an observation (paper Eqs. 1 and 2).
 
     They are N mean heights of the ground in frame L [m], then the N ``highest`` ones, then front
-    and rear flipper angle and pitch [rad].
+    and rear flipper angle and pitch [rad]. With ``sides``, the same heights below the left and
+    below the right tracks follow the first ones, and the roll stands before the angles.
     """
 
     bins: int = Field(15, ge=3, le=101, description="N, terrain heights in an observation [-]")
@@ -217,21 +218,28 @@ class ObservationLayout(Settings):
         "too, which shows obstacles thinner than a bin; false: the paper's observation [-]",
     )
 
+    sides: bool = Field(
+        False,
+        description="whether the heights below the left and below the right tracks and the roll "
+        "stand in the observation, too; in the side plane both sides are equal [-]",
+    )
+
     @property
     def heights(self) -> int:
-        """Number of heights in an observation, N or 2 N [-]."""
-        return observation.heights(self.bins, self.highest)
+        """Number of heights in an observation, N or 2 N, three times as many with sides [-]."""
+        return observation.heights(self.bins, self.highest, self.sides)
 
     @property
     def size(self) -> int:
-        """Length of an observation, ``heights`` + 3 [-]."""
-        return self.heights + len(observation.ANGLES)
+        """Length of an observation: ``heights`` + 3, and 1 more with sides [-]."""
+        return self.heights + len(observation.angles(self.sides))
 
     @property
     def words(self) -> str:
         """The layout in words that name its settings, for errors."""
         kind = "true" if self.highest else "false"
-        return f"bins={self.bins}, bin_width={self.bin_width:g} m, highest={kind}"
+        text = f"bins={self.bins}, bin_width={self.bin_width:g} m, highest={kind}"
+        return f"{text}, sides=true" if self.sides else text
 
     @property
     def reach(self) -> float:
@@ -241,7 +249,7 @@ class ObservationLayout(Settings):
     @property
     def scale(self) -> FloatArray:
         """Typical magnitude of each number, by which networks divide, (n,) in SI units."""
-        return observation.scale(self.heights)
+        return observation.scale(self.heights, self.sides)
 
 
 class Command(NamedTuple):
@@ -299,6 +307,8 @@ class Perception:
     deviation: FloatArray | None = None
     """(N,) standard deviation of the error of each height in ``observation``, as the sensor judges
     it, infinite where nothing was seen [m]; None: it is not judged."""
+    roll: float = 0.0
+    """Sensed roll of the chassis, left side up positive; 0 where it is not sensed [rad]."""
 
 
 @dataclass(frozen=True)

@@ -64,11 +64,12 @@ class PartialPerception(Partial):
     bins: Annotated[int, Field(ge=3, le=101)]
     bin_width: Annotated[float, Field(gt=0, le=1)]
     highest: bool
+    sides: bool = False
 
     @property
     def layout(self) -> ObservationLayout:
         """The layout alone."""
-        return ObservationLayout(bins=self.bins, bin_width=self.bin_width, highest=self.highest)
+        return ObservationLayout(**{n: getattr(self, n) for n in ObservationLayout.model_fields})
 
 
 class PartialEnvironment(Partial):

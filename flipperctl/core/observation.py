@@ -2,8 +2,10 @@
 
 First come the mean heights of the ground in N bins of frame L [m], from rear to front. Unless the
 layout is the paper's, the heights of each bin's highest point follow. The angles of the front and
-the rear flippers in frame R and the pitch are the last numbers [rad]. A mean hides what is thinner
-than its bin: it shows a seventh of a plate 2 cm thick and 0.25 m high. Frame L is level with its
+the rear flippers in frame R and the pitch are the last numbers [rad]. With sides, the heights below
+the left and then below the right tracks follow those of the whole width, and the roll stands before
+the angles: first and last numbers are the same in every layout. A mean hides what is thinner than
+its bin: it shows a seventh of a plate 2 cm thick and 0.25 m high. Frame L is level with its
 origin at the chassis centre, frame R is fixed to the chassis. Unseen ground is filled with points
 on straight lines between the seen points. ``sim.planar.rays`` compiles ``add_heights`` and the
 filling; they call no other function, so that they can be compiled as they are.
@@ -20,12 +22,26 @@ from numpy.typing import NDArray
 from flipperctl.core import FloatArray
 
 ANGLES = ("theta_f1", "theta_f2", "theta_R")
-"""Names of the angles after the heights: front flippers, rear flippers, pitch."""
+"""Names of the last angles: front flippers, rear flippers, pitch."""
+ROLL = "roll"
+"""Name of the angle before them in a layout with sides."""
+SIDES = {"left_": 1.0, "right_": -1.0}
+"""Prefix of the names of a side's heights → sign of its y."""
+HALF_WIDTH = 0.36
+"""Ground within this distance beside the robot's line is below its tracks [m]."""
 
 
-def heights(bins: int, highest: bool) -> int:
-    """Return the number of heights in an observation: N, or 2 N with the ``highest`` points [-]."""
-    return 2 * bins if highest else bins
+def heights(bins: int, highest: bool, sides: bool = False) -> int:
+    """Return the number of heights in an observation: N, or 2 N with the ``highest`` points [-].
+
+    With ``sides``, there are as many again for each.
+    """
+    return bins * (2 if highest else 1) * (1 + sides * len(SIDES))
+
+
+def angles(sides: bool = False) -> tuple[str, ...]:
+    """Return the names of the angles after the heights."""
+    return (ROLL, *ANGLES) if sides else ANGLES
 
 
 def reach(bins: int, bin_width: float) -> float:
@@ -38,21 +54,24 @@ def edges(bins: int, bin_width: float) -> FloatArray:
     return np.arange(bins + 1, dtype=np.float64) * bin_width - reach(bins, bin_width)
 
 
-def scale(heights: int) -> FloatArray:
+def scale(heights: int, sides: bool = False) -> FloatArray:
     """Return the typical magnitudes of ``heights`` heights and the angles, in SI units."""
-    return np.concatenate([np.full(heights, 0.5), np.full(len(ANGLES), math.pi / 3)])
+    return np.concatenate([np.full(heights, 0.5), np.full(len(angles(sides)), math.pi / 3)])
 
 
 def assemble(
-    heights: FloatArray, *, front: float, rear: float, pitch: float
+    heights: FloatArray, *, front: float, rear: float, pitch: float, roll: float | None = None
 ) -> NDArray[np.float32]:
     """Return an observation, (n,) in SI units.
 
     ``heights``: the result of ``bin_heights``; ``front``, ``rear``: angles of the
-    flippers in frame R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
+    flippers in frame R, above the chassis positive [rad]; ``pitch``: nose up positive; ``roll``:
+    left side up positive [rad], None in a layout without sides.
     """
-    observation = np.empty(len(heights) + len(ANGLES), dtype=np.float32)
+    observation = np.empty(len(heights) + len(angles(roll is not None)), dtype=np.float32)
     observation[: len(heights)] = heights
+    if roll is not None:
+        observation[-4] = roll
     observation[-3], observation[-2], observation[-1] = front, rear, pitch
     return observation
 

@@ -19,7 +19,8 @@ class SensedGround:
     """(P, 2) sensed and ``filled`` points, x never decreasing [m]."""
     heights: FloatArray | None = None
     """(N,) mean height of each bin (paper Eq. 1), or (2 N,) with the highest ones, as the layout
-    says [m]; None: they follow from ``points``."""
+    says [m]; with sides, those of the left and of the right follow. None: they follow from
+    ``points``, and both sides are equal."""
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point fills unseen ground; None: every point was seen."""
     seen: NDArray[np.bool_] | None = None
@@ -42,6 +43,8 @@ class SensedAngles:
     """Angle of the rear flippers in frame R [rad]."""
     pitch: float
     """Pitch of the chassis, nose up positive [rad]."""
+    roll: float = 0.0
+    """Roll of the chassis, left side up positive; 0 where it is not sensed [rad]."""
 
 
 @dataclass(frozen=True)

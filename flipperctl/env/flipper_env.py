@@ -124,8 +124,9 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         """Plugins of the episodes that are not part of flipperctl."""
         self.observers: tuple[Observer, ...] = ()
         """Observers of the episodes that begin from now on."""
-        # Bounds of the space: heights up to ``ground.HIGHEST``, then three angles.
-        high = np.concatenate([np.full(self.layout.heights, 100.0), np.full(3, math.pi)])
+        # Bounds of the space: heights up to ``ground.HIGHEST``, then angles.
+        high = np.full(self.layout.size, math.pi)
+        high[: self.layout.heights] = 100.0
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
         )

@@ -120,7 +120,11 @@ class Perceiver:
         if heights is None:
             points, highest = ground.points, layout.highest
             heights = bin_heights(points, layout.bins, layout.bin_width, highest=highest)
-        observation = assemble(heights, front=angles.front, rear=angles.rear, pitch=angles.pitch)
+            heights = np.resize(heights, layout.heights)
+        roll = angles.roll if layout.sides else None
+        observation = assemble(
+            heights, front=angles.front, rear=angles.rear, pitch=angles.pitch, roll=roll
+        )
         # Later perceptions share a read-only copy; the newest array is the caller's.
         earlier, shared = self._recent[1 - MAX_HISTORY :], observation.copy()
         shared.setflags(write=False)
@@ -141,6 +145,7 @@ class Perceiver:
             seen=_copy(ground.seen),
             position=_copy(ground.position),
             deviation=_copy(ground.deviation),
+            roll=angles.roll,
         )
 
     def map_points(self) -> FloatArray | None:

@@ -165,7 +165,7 @@ def mounted_parts(
     """
     instruments = require(sensor, "instruments", sensor.instruments(mounting))
     if instruments is None:
-        ground = require(sensor, "over", sensor.over(mounting.profile, mounting.margin))
+        ground = require(sensor, "over", sensor.mounted(mounting))
         whole = _WholeSensor(Checked(sensor, ground) if checked else ground)
         return {"sensed": whole}, LatestMeasurement(), ground
     built = require(sensor, "estimator", sensor.estimator(robot))
@@ -176,7 +176,7 @@ def require_sensed_finite(
     sensor: Sensor, senses: object, ground: SensedGround, angles: SensedAngles
 ) -> None:
     """Refuse numbers that are not finite, which the object ``senses`` of the sensor returned."""
-    total = angles.front + angles.rear + angles.pitch
+    total = angles.front + angles.rear + angles.pitch + angles.roll
     for array in (ground.points, ground.heights, ground.position):
         if array is not None:
             total += float(np.vdot(array, array))
@@ -185,7 +185,7 @@ def require_sensed_finite(
         return
     numbers = ("points", "heights", "position")
     faults = [name for name in numbers if not _are_finite(getattr(ground, name))]
-    if not math.isfinite(angles.front + angles.rear + angles.pitch):
+    if not math.isfinite(angles.front + angles.rear + angles.pitch + angles.roll):
         faults.append("angles")
     if faults:
         method = "sense" if hasattr(senses, "sense") else "estimate"

@@ -52,7 +52,9 @@ def policy_metadata(
         "seed": config.seed,
         "network": config.network.plugin_name,
     }
-    # What only some policies have: plugins in files, a risk, an escape, a map.
+    # What only some policies have: sides, plugins in files, a risk, an escape, a map.
+    if layout.sides:
+        values["sides"] = True
     if files := [p for p in plugins if p.file is not None]:
         values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
     if risk is not None:
@@ -73,13 +75,22 @@ def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
     """Return the name, unit, frame and meaning of each of an observation's numbers."""
     edges = list(pairwise(observation.edges(layout.bins, layout.bin_width)))
     front, rear, pitch = observation.ANGLES
+    sides = tuple(observation.SIDES) if layout.sides else ()
     kinds = {"h": "mean terrain height", **({"top": "highest point"} if layout.highest else {})}
+    where = {"": "", **({s: f" below the {s[:-1]} tracks" for s in sides})}
     rows = [
         *(
-            (f"{name}_{i}", "m", "L", f"{what}, up positive, for x in [{low:.3f}, {high:.3f}) m")
+            (
+                f"{side}{name}_{i}",
+                "m",
+                "L",
+                f"{what}{place}, up positive, for x in [{low:.3f}, {high:.3f}) m",
+            )
+            for side, place in where.items()
             for name, what in kinds.items()
             for i, (low, high) in enumerate(edges, 1)
         ),
+        *([(observation.ROLL, "rad", "L", "roll, left side up positive")] if sides else []),
         (front, "rad", "R", "front flippers, above chassis positive"),
         (rear, "rad", "R", "rear flippers, above chassis positive"),
         (pitch, "rad", "L", "pitch, nose up positive"),

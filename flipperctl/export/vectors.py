@@ -42,6 +42,8 @@ def export_vectors(
             "name the file"
         )
     policy, env = OnnxPolicy(file, escape=False), FlipperEnv(config=config)
+    if policy.interface.sides:
+        raise RequestError(f"{file}: vectors have the side plane alone; the policy has both sides")
     seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
     instants: list[dict[str, Any]] = []
     episode = 0

@@ -350,7 +350,7 @@ class Ground:
         # With running sums, a bin's mean takes two look-ups and a division.
         self._sums = np.concatenate([[0.0], np.cumsum(z)])
         # The last number is for ``reduceat``, which takes no index past the end.
-        self._z, self._highest = np.append(z, -np.inf), layout.highest
+        self._z, self._highest, self._sides = np.append(z, -np.inf), layout.highest, layout.sides
         self._line = line
         self._edges = np.arange(layout.bins + 1) * layout.bin_width - layout.reach
 
@@ -372,6 +372,8 @@ class Ground:
             columns = [np.where(count == 0, level, column) for column in columns]
         angles = states[:, [FLIPPERS, FLIPPERS + 1, 2]]
         below = places[:, 1:]
+        if self._sides:  # equal ones, since a search predicts in the side plane
+            columns, angles = 3 * columns, np.insert(angles, 0, 0.0, axis=1)
         return np.column_stack([*(column - below for column in columns), angles]).astype(np.float32)
 
     def _tops(self, index: NDArray[np.int64]) -> FloatArray:

@@ -193,7 +193,7 @@ _SENSED = _pair_of(
         position=_optional(_array(2)),
         deviation=_optional(_array(lambda sensor, *_: sensor.layout.bins, low=0.0)),
     ),
-    _record(SensedAngles, front=_REAL_NUMBER, rear=_REAL_NUMBER, pitch=_REAL_NUMBER),
+    _record(SensedAngles, **dict.fromkeys(("front", "rear", "pitch", "roll"), _REAL_NUMBER)),
 )
 
 RULES: Mapping[str, Mapping[str, Rule]] = {

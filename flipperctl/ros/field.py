@@ -177,6 +177,7 @@ def _episode(
             front=instant.angles.front,
             rear=instant.angles.rear,
             pitch=instant.angles.pitch,
+            roll=instant.angles.roll if config.perception.sides else None,
         )
         for instant in stretch
         if instant.ground.heights is not None  # of a map they always are

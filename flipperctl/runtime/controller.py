@@ -328,9 +328,11 @@ class FlipperController:
         assert ground.heights is not None  # of a map
         # In standby a decision is tried too, so that what would prevent it shows before the belts
         # start.
-        pose = self._estimator.pose
+        pose, more = self._estimator.pose, {}
+        if self.policy.interface.sides:
+            more["roll"] = angles.roll
         action = self.policy.act(
-            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch),
+            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch, **more),
             (pose.x, pose.y, pose.z),
         )
         if self._states.update(now, None) != "driving":
@@ -471,6 +473,7 @@ def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True
         interface.highest,
         interface.map_quality or MapQuality(),
         accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
+        interface.sides,
     )
     try:
         matcher = ScanMatcher() if setup.pose == "matched" else None

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from flipperctl.core import observation as layout
 from flipperctl.core.lidar.ground import MapQuality
-from flipperctl.core.observation import ANGLES
 from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
 from flipperctl.core.targets import ACTIONS, JOINTS, ActionKind, TargetRule
@@ -114,6 +113,8 @@ class Interface:
     """Settings of the map in the training; None for a policy that was trained without a LiDAR."""
     devices: Devices | None = None
     """The robot's devices; None if they were not exported with the policy."""
+    sides: bool = False
+    """Whether the heights of both sides follow, and the roll stands before the angles."""
 
     @property
     def kind(self) -> ActionKind:
@@ -132,14 +133,15 @@ class Interface:
 
     @property
     def heights(self) -> int:
-        """Number of terrain heights in an observation, N or 2 N."""
-        return layout.heights(self.bins, self.highest)
+        """Number of terrain heights in an observation: N or 2 N, with sides three times that."""
+        return layout.heights(self.bins, self.highest, self.sides)
 
     @property
     def limits(self) -> NDArray[np.float64]:
         """Largest plausible magnitudes of the numbers of one observation, (n,) [m, rad]."""
         largest = LARGEST_HEIGHT + layout.reach(self.bins, self.bin_width)
-        return np.array([largest] * self.heights + [LARGEST_ANGLE] * len(ANGLES))
+        angles = [LARGEST_ANGLE] * (self.size - self.heights)
+        return np.array([largest] * self.heights + angles)
 
     @property
     def inputs(self) -> int:
@@ -357,7 +359,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
 
     # The observation, and what the outputs mean
     bins, highest = entry("bins", _COUNT), entry("highest", _FLAG)
-    size = layout.heights(bins, highest) + len(ANGLES)
+    sides = entry("sides", _FLAG, "false")
+    size = layout.heights(bins, highest, sides) + len(layout.angles(sides))
     observation = entry("observation", _list(_mapping(Quantity), size))
     entry("joints", _exactly(list(JOINTS)))
     pairs = _list(_list(_NUMBER, len(JOINTS)), len(ACTIONS), len(JOINTS))  # or of rates
@@ -400,6 +403,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         escape=escape,
         map_quality=optional("map", MapQuality),
         devices=_devices(metadata, where),
+        sides=sides,
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.core import observation as layout
-from flipperctl.core.observation import ANGLES, bin_heights
+from flipperctl.core.observation import bin_heights
 from flipperctl.core.risk import LAGS, EpisodeRisk, Escape, Place, RiskSign
 from flipperctl.core.targets import ACTIONS, Action, as_action, rates_of
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
@@ -135,7 +135,15 @@ class OnnxPolicy:
         return sign is not None and sign.warns(self.risk)
 
     def observation(
-        self, points: ArrayLike, *, front: float, rear: float, pitch: float, frame: Frame = "L"
+        self,
+        points: ArrayLike,
+        *,
+        front: float,
+        rear: float,
+        pitch: float,
+        frame: Frame = "L",
+        sides: tuple[ArrayLike, ArrayLike] | None = None,
+        roll: float = 0.0,
     ) -> NDArray[np.float32]:
         """Return the observation for ``act`` from the robot's measurements, (n,) in SI units.
 
@@ -144,12 +152,40 @@ class OnnxPolicy:
         Points beyond the bins are ignored. ``frame`` of the points: ``L`` is level, ``R`` is fixed
         to the chassis. ``front``, ``rear``: angles of the flippers in frame
         R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
+        A policy with sides takes the same points below the left and below the right tracks as
+        ``sides``, by default ``points`` for both, and the ``roll``, left side up positive [rad].
 
         Raises:
             PolicyError: the points have another shape, are not numbers, or none lies in a bin.
             NonFiniteError: a point or an angle is NaN or infinite.
         """
-        # Points, frame and angles are refused by what is wrong with each.
+        # Frame and angles are refused by what is wrong with each, then the points.
+        if frame not in ("L", "R"):
+            raise PolicyError(
+                f"{self.path}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed"
+            )
+        named = {"front": front, "rear": rear, "pitch": pitch, "roll": roll}
+        for name, angle in named.items():
+            try:
+                finite = -_LARGEST <= angle <= _LARGEST
+            except (TypeError, ValueError) as error:
+                text = f"{self.path}: {name} is {str(angle)[:40]}; a number is allowed"
+                raise PolicyError(text) from error
+            if not finite:
+                raise NonFiniteError(f"{self.path}: {name} is {angle}; finite numbers are allowed")
+
+        # The heights of the bins, as in the simulator
+        pitched = pitch if frame == "R" else 0.0
+        heights, with_sides = self._heights(points, pitched), self.interface.sides
+        if with_sides and sides is not None:
+            both = (self._heights(side, pitched) for side in sides)
+            heights = np.concatenate([heights, *both])
+        heights = np.resize(heights, self.interface.heights)
+        more = {"roll": roll} if with_sides else {}
+        return layout.assemble(heights, front=front, rear=rear, pitch=pitch, **more)
+
+    def _heights(self, points: ArrayLike, pitch: float) -> NDArray[np.float64]:
+        """Return the heights of the bins by points (P, 2), which are pitched by so much [rad]."""
         ground = self._real(points, np.float64, "points are")
         if ground.ndim != 2 or ground.shape[1] != 2:
             shape = f"the points have shape {ground.shape}"
@@ -160,21 +196,7 @@ class OnnxPolicy:
                 f"{self.path}: point {bad[0]} is {tuple(ground[bad[0]].tolist())}; finite numbers "
                 "are allowed: leave out what the sensor did not measure"
             )
-        if frame not in ("L", "R"):
-            raise PolicyError(
-                f"{self.path}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed"
-            )
-        for name, angle in (("front", front), ("rear", rear), ("pitch", pitch)):
-            try:
-                finite = -_LARGEST <= angle <= _LARGEST
-            except (TypeError, ValueError) as error:
-                text = f"{self.path}: {name} is {str(angle)[:40]}; a number is allowed"
-                raise PolicyError(text) from error
-            if not finite:
-                raise NonFiniteError(f"{self.path}: {name} is {angle}; finite numbers are allowed")
-
-        # The heights of the bins, as in the simulator
-        if frame == "R":
+        if pitch:
             ground = layout.to_level(ground, pitch)
         bins, bin_width = self.interface.bins, self.interface.bin_width
         reach = layout.reach(bins, bin_width)
@@ -184,8 +206,7 @@ class OnnxPolicy:
                 f"{self.path}: none of the {len(ground)} points lies within ±{reach:g} m of the "
                 "chassis centre"
             )
-        heights = bin_heights(near, bins, bin_width, highest=self.interface.highest)
-        return layout.assemble(heights, front=front, rear=rear, pitch=pitch)
+        return bin_heights(near, bins, bin_width, highest=self.interface.highest)
 
     def act(self, observation: ArrayLike, position: ArrayLike | None = None) -> Action:
         """Return the index of an action, a row of ``interface.actions``, or rates.
@@ -355,7 +376,8 @@ class OnnxPolicy:
     def _shape_error(self, array: NDArray[np.float32], allowed: str) -> PolicyError:
         return PolicyError(
             f"{self.path}: the observation has shape {array.shape}; {allowed} is allowed: "
-            f"{self.interface.heights} terrain heights and {len(ANGLES)} angles"
+            f"{self.interface.heights} terrain heights and "
+            f"{self.interface.size - self.interface.heights} angles"
             f"{', of each frame' if self._has_history else ''}"
         )
 

@@ -233,7 +233,8 @@ class LoadedPolicy:
         if array.shape != (self.layout.size,):
             raise PolicyError(
                 f"{self.name}: the observation has shape {array.shape}; ({self.layout.size},) is "
-                f"allowed: {self.layout.heights} terrain heights and 3 angles"
+                f"allowed: {self.layout.heights} terrain heights and "
+                f"{self.layout.size - self.layout.heights} angles"
             )
         if not np.isfinite(array).all():
             raise NonFiniteError(f"{self.name}: the observation is not finite: {array}")

@@ -207,9 +207,9 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     # In frame L, which stays level at any pitch
     yield probe("first height, behind the robot", "m", 0, -radius)
     yield probe("last height, on the step ahead", "m", layout.bins - 1, _STEP - radius)
-    yield probe("front flippers", "rad", layout.heights, 0.2)
-    yield probe("rear flippers", "rad", layout.heights + 1, -0.1)
-    yield probe("pitch, nose up", "rad", layout.heights + 2, 0.3)
+    yield probe("front flippers", "rad", layout.size - 3, 0.2)
+    yield probe("rear flippers", "rad", layout.size - 2, -0.1)
+    yield probe("pitch, nose up", "rad", layout.size - 1, 0.3)
 
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:

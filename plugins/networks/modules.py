@@ -166,11 +166,12 @@ class Fusion(nn.Module):
         more: int = 0,
         dropout: float = 0.0,
     ) -> None:
-        """``terrain`` maps (B, n - 3) to (B, features); ``more`` follow the robot's three."""
+        """``terrain`` maps the heights to (B, features); ``more`` follow the robot's angles."""
         super().__init__()
         self.heights = layout.heights
         self.terrain = terrain
-        self.joined = perceptron((features + 3 + more, fused), dropout=dropout)
+        angles = layout.size - layout.heights
+        self.joined = perceptron((features + angles + more, fused), dropout=dropout)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map (B, n + more) to S′ (B, fused)."""

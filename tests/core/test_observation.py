@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flipperctl.api import Profile
+from flipperctl.api import ObservationLayout, Profile
 from flipperctl.core import observation
 from flipperctl.core.ground_map import GroundMap, _averaged, kept_points
 from flipperctl.core.observation import bin_heights, fill_gaps
@@ -41,6 +41,15 @@ def test_bins_and_frames_by_hand() -> None:
     # 2 m along the chassis and 1 m above it, with the nose 90° up: 1 m behind and 2 m up
     level = observation.to_level(np.array([[2.0, 1.0]]), np.pi / 2)
     assert level == pytest.approx(np.array([[-1.0, 2.0]]))
+
+
+def test_sides_and_roll_stand_between_the_numbers_of_every_layout() -> None:
+    assert (observation.heights(5, True, True), observation.heights(5, False, True)) == (30, 15)
+    assert observation.angles(True) == ("roll", *observation.angles())
+    plain = observation.assemble(np.arange(2.0), front=0.1, rear=0.2, pitch=0.3)
+    sided = observation.assemble(np.arange(6.0), front=0.1, rear=0.2, pitch=0.3, roll=0.4)
+    assert sided.tolist() == [*range(6), np.float32(0.4), *plain[-3:].tolist()]
+    assert ObservationLayout(bins=5, sides=True).scale.tolist() == [*30 * [0.5], *4 * [np.pi / 3]]
 
 
 @pytest.mark.parametrize("span", [0.0, 0.05])

@@ -179,3 +179,14 @@ def test_a_missing_package_is_named(
     monkeypatch.setattr(policy, "rollout_observations", lambda *_: np.zeros((2, SIZE), np.float32))
     with pytest.raises(MissingExtraError, match=r"needs the package onnxruntime.*pip install"):
         policy.export(saved, tmp_path / "x.onnx")
+
+
+def test_metadata_have_sides_of_a_layout_with_sides_alone() -> None:
+    plain = TrainConfig(terrain="step")
+    sided = TrainConfig(terrain="step", perception={"name": "planar", "sides": True})
+    assert "flipperctl.sides" not in policy_metadata(plain)
+    interface = read_interface(policy_metadata(sided), "a file")
+    assert (interface.sides, interface.heights, interface.size) == (True, 90, 94)
+    names = [quantity.name for quantity in interface.observation]
+    assert (names[0], names[30], names[75], names[90]) == ("h_1", "left_h_1", "right_top_1", "roll")
+    assert names[91:] == ["theta_f1", "theta_f2", "theta_R"]

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from flipperctl.commands.robot import recorded_robot
@@ -22,6 +23,7 @@ from flipperctl.runtime.devices import Devices, devices_of
 from flipperctl.runtime.lockstep import Lockstep
 from flipperctl.runtime.node import RobotNode
 from tests.cli.call import call
+from tests.runtime.linear import RATES, SIDES, write
 
 SCENE = ("terrain=paper_step", "sim=mujoco", "perception.azimuths=60")
 DECISIONS = 24  # until the robot is on the step
@@ -116,6 +118,17 @@ def test_an_episode_in_lockstep_has_the_targets_of_the_one_in_process(
         alone = targets(config, source.build(config), episode)
         assert len({tuple(pair) for pair in alone}) > 3
         assert driven(config, devices, policy, episode) == alone
+
+
+def test_a_policy_with_sides_has_the_same_targets_on_topics(tmp_path: Path) -> None:
+    # Its rates are two heights ahead on the left.
+    policy = write(tmp_path / "sides.onnx", **SIDES | RATES | {"first": 39, "scale": 3.0})
+    devices = devices_of({"lidar": PLACE}, "test")
+    config = recorded_robot((*SCENE, "perception.sides=true"), devices).config
+    alone = targets(config, load_policy(policy).build(config), 0)
+    assert len({tuple(pair) for pair in alone}) > 3
+    assert np.ptp(alone) > 0.5
+    assert driven(config, devices, policy, 0) == alone
 
 
 def test_motors_without_a_command_stand(policy: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,6 +43,12 @@ RULE = {"window": STEP, "limit": math.pi / 3}
 """What a file for the controller also has: all of the robot, and the rule of its targets."""
 PAPER = {"highest": False, "observation": HEIGHTS[:15] + ANGLES, "size": 18}
 """Arguments of ``write`` for the paper's layout."""
+ROLL = {"name": "roll", "unit": "rad", "frame": "L", "meaning": "roll"}
+SIDES = {
+    **{"sides": True, "observation": [*(3 * HEIGHTS), ROLL, *ANGLES], "size": 94, "first": 30},
+    "robot": ROBOT,
+}
+"""Arguments of ``write`` for a policy by the heights below the left tracks."""
 RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}
 """Metadata of a file with a risk."""
 
@@ -63,16 +69,18 @@ def write(
     numbers: int = 9,
     scale: float = 1.0,
     checksum: bool = True,
+    first: int = 0,
     risky: bool = False,
     **changes: object,
 ) -> Path:
     """Write the policy and return its path; ``changes`` replace metadata, None removes an entry.
 
-    ``risky``: whether it has a risk, whose log-odds are the first height, and twice that height for
-    an observation that equals the last one.
+    ``first``: number of the height that is the first Q-value. ``risky``: whether it has a risk,
+    whose log-odds are the first height, and twice that height for an observation that equals the
+    last one.
     """
     weights = numpy_helper.from_array(
-        np.eye(size, numbers, dtype=np.float32) * np.float32(scale), "w"
+        np.eye(size, numbers, -first, dtype=np.float32) * np.float32(scale), "w"
     )
     nodes, held, outputs = (
         [helper.make_node("MatMul", ["observation", "w"], [output])],

@@ -13,7 +13,7 @@ from flipperctl.core.observation import to_level
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, MissingExtraError, NonFiniteError, PolicyError
 from flipperctl.runtime import OnnxPolicy, TargetRule
-from tests.runtime.linear import METADATA, PAPER, RISK, SIZE, STEP, write
+from tests.runtime.linear import METADATA, PAPER, RISK, SIDES, SIZE, STEP, write
 
 
 @pytest.fixture
@@ -336,3 +336,15 @@ def test_a_risk_that_is_no_number_is_named(
     monkeypatch.setattr(risky._risk, "_alone", np.full((1, 1), np.nan, np.float32))
     with pytest.raises(NonFiniteError, match=r"risky\.onnx: the risk is not a finite number"):
         risky.act(seen(0.5))
+
+
+def test_a_policy_with_sides_takes_points_of_both_and_the_roll(tmp_path: Path) -> None:
+    policy = OnnxPolicy(write(tmp_path / "sides.onnx", **SIDES))
+    level, left = np.array([[-0.5, -0.1], [0.5, -0.1]]), np.array([[0.0, 0.2]])
+    angles = {"front": 0.1, "rear": 0.2, "pitch": 0.3}
+    equal = policy.observation(level, **angles)
+    assert equal.tolist() == pytest.approx([*90 * [-0.1], 0.0, 0.1, 0.2, 0.3])
+    found = policy.observation(level, **angles, sides=(left, level), roll=-0.4)
+    assert found[:30].tolist() == equal[:30].tolist()
+    assert found[30:].tolist() == pytest.approx([*30 * [0.2], *30 * [-0.1], -0.4, 0.1, 0.2, 0.3])
+    assert policy.q_values(found)[0] == pytest.approx(0.2)

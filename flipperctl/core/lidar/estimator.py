@@ -179,9 +179,10 @@ class LidarEstimator:
         pose, joints = self._pose, self._joints
         circles = self._body.circles(pose.pitch, joints.front, joints.rear)
         position, radius = np.array([pose.x, pose.y, pose.z]), self._body.track_radius
-        ground = self._ground.sensed(position, pose.yaw, circles, radius, unknown)
+        ground = self._ground.sensed(position, pose.yaw, circles, radius, unknown, pose.roll)
         ground = replace(ground, position=np.array([pose.x, pose.z]))
-        return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
+        angles = {"front": joints.front, "rear": joints.rear}
+        return ground, SensedAngles(**angles, pitch=pose.pitch, roll=pose.roll)
 
     @property
     def pose(self) -> Pose:

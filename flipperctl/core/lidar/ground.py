@@ -131,6 +131,17 @@ def straightened(points: FloatArray, slope: float) -> FloatArray:
     return result
 
 
+def side_of(points: FloatArray, sign: float, slope: float) -> FloatArray:
+    """Return those of ``points`` (P, 3) that are below the tracks of one side, (S, 3) [m].
+
+    ``sign``: 1 for the left, -1 for the right. Their sideways slope is removed about the middle of
+    that side, so that ground that leans differs from side to side.
+    """
+    side = points[(sign * points[:, 1] > 0) & (np.abs(points[:, 1]) <= observation.HALF_WIDTH)]
+    middle = sign * observation.HALF_WIDTH / 2
+    return straightened(side - (0.0, middle, 0.0), slope)
+
+
 _SPACING = 0.02
 """Distance between the points along the ground, as dense as ``perception=planar``'s [m]."""
 _GAP = 0.06  # seen columns farther apart than this have unseen ground between them [m]
@@ -208,6 +219,8 @@ class MapSettings:
     """How the points of scans make up the ground."""
     accuracy: Accuracy = field(default_factory=Accuracy)
     """What makes heights err."""
+    sides: bool = False
+    """Whether the heights of both sides are wanted, too."""
 
 
 class GroundSeen:
@@ -292,11 +305,13 @@ class GroundSeen:
         circles: FloatArray,
         radius: float,
         unknown: float = 0.0,
+        roll: float = 0.0,
     ) -> SensedGround:
         """Return the ground at the robot's ``position`` (3,) [m] and heading [rad].
 
         ``circles`` (C, 2) of this ``radius``, in frame L, are what the tracks cover; ``unknown``:
-        how far the robot may have moved since its position was estimated [m].
+        how far the robot may have moved since its position was estimated [m]; ``roll``: of the
+        robot [rad].
         Call it once for each decision, since it corrects the map's height a bit by each stance.
         """
         # The map around the robot, without a sideways slope, in frame L
@@ -310,12 +325,44 @@ class GroundSeen:
         ground_columns = columns(straightened(near, slope), q.cell, q.fewest)
 
         # The line of the ground: seen, assumed at the start, with drops behind edges
-        line, assumed = polyline(ground_columns, q.noise), self._assumed(x, y, z, yaw)
+        assumed = self._assumed(x, y, z, yaw)
         if self._lift is None:
             self._lift = self._first_lift(ground_columns, assumed, circles)
-        line[:, 1] += self._lift
+        # The sides by the map's height of now, which this stance corrects for the next decision
+        lift = self._lift
+        points, filled, gaps = self._outlined(ground_columns, assumed, circles, radius, lift)
+        self._correct(points, gaps, filled)
+
+        # What the observation has: heights, which bins were seen, and how far each may err
+        heights = bin_heights(points, s.bins, s.bin_width, highest=s.highest)
+        for sign in observation.SIDES.values() if s.sides else ():
+            side = columns(side_of(near, sign, slope), q.cell, (q.fewest + 1) // 2)
+            risen = 0.0, sign * observation.HALF_WIDTH / 2 * math.sin(roll)
+            below, *_ = self._outlined(side, assumed, circles + risen, radius, lift)
+            more = bin_heights(below, s.bins, s.bin_width, highest=s.highest)
+            heights = np.concatenate([heights, more])
+        seen = occupied(points[~filled], s.bins, s.bin_width)
+        since = self._since(x, y, yaw)
+        deviation = deviations(points, filled, since, s.bin_width, s.accuracy, unknown)
+        deviation = np.where(seen, deviation, np.inf)
+        return SensedGround(points, heights, filled, seen, deviation=deviation)
+
+    def _outlined(
+        self,
+        ground_columns: Columns,
+        assumed: FloatArray,
+        circles: FloatArray,
+        radius: float,
+        lift: float,
+    ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+        """Return points along the ground, (P, 2) [m], which are filled, and the tracks' gaps [m].
+
+        ``lift`` is added to the heights of ``ground_columns`` [m].
+        """
+        line = polyline(ground_columns, self._quality.noise)
+        line[:, 1] += lift
         line, unseen = with_assumed(line, assumed, _GAP / 2)
-        line, unseen = with_drops(line, unseen, _GAP, q.cell / 2)
+        line, unseen = with_drops(line, unseen, _GAP, self._quality.cell / 2)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, unseen, _SPACING, _GAP, limits)
 
@@ -323,15 +370,7 @@ class GroundSeen:
         gaps = clearances(circles, radius, points)
         above = filled & (gaps < 0)
         points[above, 1] += gaps[above]
-        self._correct(points, np.where(above, 0.0, gaps), filled)
-
-        # What the observation has: heights, which bins were seen, and how far each may err
-        heights = bin_heights(points, s.bins, s.bin_width, highest=s.highest)
-        seen = occupied(points[~filled], s.bins, s.bin_width)
-        since = self._since(x, y, yaw)
-        deviation = deviations(points, filled, since, s.bin_width, s.accuracy, unknown)
-        deviation = np.where(seen, deviation, np.inf)
-        return SensedGround(points, heights, filled, seen, deviation=deviation)
+        return points, filled, np.where(above, 0.0, gaps)
 
     def points_around(self, position: FloatArray, yaw: float) -> FloatArray:
         """Return the points of the map that ``sensed`` uses, (P, 3) in frame L [m]."""

@@ -297,7 +297,8 @@ class LidarSensor(Sensor):
             MissingExtraError: ``pose`` is ``matched``, and small_gicp is not installed.
         """
         accuracy = accuracy_of(self.pose, self.range_bias, self._tilt_error)
-        settings = MapSettings(self.bins, self.bin_width, self.highest, self._quality, accuracy)
+        shape = self.bins, self.bin_width, self.highest
+        settings = MapSettings(*shape, self._quality, accuracy, self.sides)
         try:
             matcher = ScanMatcher() if self.pose == "matched" else None
         except ImportError as error:

@@ -4,6 +4,9 @@ In: the true profile and state. Out: terrain points in frame L and the mean heig
 Without ``occlusion``, all points within the horizon are sensed, even hidden ones behind an edge or
 in a trench. With it, ``rays.SeenGround`` determines which points a sensor on a mast has seen.
 
+With ``sides``, rays from above find the ground below the tracks of a world in 3-D, as ``sides``
+says. What hides it, and the errors of a map, are those of the side plane at the same x.
+
 ``MapErrors`` is a cheap model of a map that a robot builds as it drives. Heights are wrong by a
 stationary process along x, which stays on the map. Odometry moves the robot on its map by a random
 walk along the way. Ground that was seen earlier is displaced by as much as odometry has erred
@@ -15,6 +18,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,15 +28,21 @@ from pydantic import Field
 
 from flipperctl.api import (
     FloatArray,
+    Mounting,
     Profile,
+    RayWorld,
     RobotState,
+    RollingWorld,
     SensedAngles,
     SensedGround,
     Sensor,
     sensor,
 )
 from flipperctl.core.building import built
-from flipperctl.core.observation import bin_heights
+from flipperctl.core.lidar.body import attitude
+from flipperctl.core.lidar.ground import lateral_slope, side_of
+from flipperctl.core.lidar.outline import columns, points_along, polyline
+from flipperctl.core.observation import HALF_WIDTH, SIDES, bin_heights
 
 
 @sensor("planar")
@@ -130,18 +140,35 @@ class PlanarSensor(Sensor):
         """Return a sensor that samples the profile once for the whole episode."""
         return TerrainSensor(profile, self, margin)
 
+    def mounted(self, mounting: Mounting) -> TerrainSensor:
+        """Return a sensor of the profile, and with ``sides`` of the ground beside it in 3-D."""
+        is_3d = self.sides and isinstance(mounting.rays, RollingWorld)
+        return TerrainSensor(
+            mounting.profile, self, mounting.margin, mounting.rays if is_3d else None
+        )
+
 
 class TerrainSensor:
     """Samples the profile once, then returns the points around the robot."""
 
-    def __init__(self, profile: Profile, settings: PlanarSensor, margin: float) -> None:
-        """Sample ``profile`` with ``margin`` [m] of level ground on either side."""
+    def __init__(
+        self,
+        profile: Profile,
+        settings: PlanarSensor,
+        margin: float,
+        beside: RayWorld | None = None,
+    ) -> None:
+        """Sample ``profile`` with ``margin`` [m] of level ground before and past it.
+
+        ``beside``: the world in which both sides are sensed; None: they are as the profile is.
+        """
         from flipperctl.sim.planar import rays  # numba takes a third of a second to import
 
         s = self.settings = settings
         self._rays, self._spacing, self._reach = rays, 1 / s.density, s.reach
         self._cloud = profile.sample(self._spacing, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
+        self._beside = beside
         self._map_errors: MapErrors | None = None
         if s.map_error or s.map_drift or s.map_jitter:
             size = MapErrorSize(s.map_error, s.map_length, s.map_drift, s.map_jitter)
@@ -172,7 +199,14 @@ class TerrainSensor:
         heights = bin_heights(
             points, s.bins, s.bin_width, highest=s.highest, add_heights=self._rays.add_heights
         )
-        angles = built(SensedAngles, front=float(front), rear=float(rear), pitch=float(pitch))
+        roll = state.roll
+        if s.sides and s.angle_noise > 0:  # last, so that the other numbers stay the same
+            roll += rng.normal(0.0, s.angle_noise)
+        if s.sides:
+            heights = self._with_sides(heights, state, rng)
+        angles = built(
+            SensedAngles, front=float(front), rear=float(rear), pitch=float(pitch), roll=float(roll)
+        )
         # The robot is where its odometry places it.
         odometry = state.position.copy()
         if self._map_errors is not None:
@@ -181,6 +215,43 @@ class TerrainSensor:
             SensedGround, points=points, heights=heights, filled=filled, position=odometry
         )
         return ground, angles
+
+    def _with_sides(
+        self, heights: FloatArray, state: RobotState, rng: np.random.Generator
+    ) -> FloatArray:
+        """Return the heights, then those below the left and below the right tracks [m]."""
+        s = self.settings
+        if self._beside is None:
+            return np.tile(heights, 3)
+        points = ground_beside(self._beside, state, self._reach)
+        index = np.searchsorted(self._x, points[:, 0] + state.position[0])
+        index = np.minimum(index, len(self._x) - 1)
+        # What the side plane has at the same x: errors of the map, hidden ground, lost points
+        if self._map_errors is not None:
+            self._map_errors.apply(flat := points[:, [0, 2]], index)
+            points[:, [0, 2]] = flat
+        points[:, 2] += s.bias
+        if s.noise > 0:
+            points[:, 2] += rng.normal(0.0, s.noise, len(points))
+        seen = points[:, 0] < min(self._reach, s.horizon)
+        if self._seen_ground is not None:
+            seen &= self._seen_ground.seen[index]
+        if s.dropout > 0:
+            seen &= rng.random(len(points)) >= s.dropout
+        points = points[seen]
+        return np.concatenate([heights, *self._of_sides(points)])
+
+    def _of_sides(self, points: FloatArray) -> Iterator[FloatArray]:
+        """Yield the heights of each side by points (P, 3) in frame L, as a LiDAR's map does."""
+        s, slope = self.settings, lateral_slope(points, CELL)
+        for sign in SIDES.values():
+            line = polyline(columns(side_of(points, sign, slope), CELL, 1), s.noise)
+            level = np.zeros(len(line), np.bool_)
+            limits = -self._reach, self._reach
+            below, _ = points_along(line, level, self._spacing, math.inf, limits)
+            yield bin_heights(
+                below, s.bins, s.bin_width, highest=s.highest, add_heights=self._rays.add_heights
+            )
 
     def save(self) -> tuple[Any, Any]:
         """Return a snapshot of the seen points and of the map's errors."""
@@ -235,6 +306,34 @@ class TerrainSensor:
         limits = -self._reach, near
         sensed = self._rays.fill_gaps(points, index, offered, self._spacing, limits)
         return sensed[0], sensed[1]
+
+
+CELL = 0.025
+"""Length of the columns of ground below the tracks, as in a LiDAR's map [m]."""
+_LANES = 4  # points of a column on each side [-]
+_ABOVE = 50.0  # height from which rays find the ground below the tracks, nearly upright [m]
+
+
+def ground_beside(world: RayWorld, state: RobotState, reach: float) -> FloatArray:
+    """Return points of the ground below both sides' tracks in frame L, by x, (P, 3) [m].
+
+    ``reach``: distance ahead and behind [m].
+    """
+    # A grid whose lanes are displaced, so that x is spaced evenly
+    count = math.ceil(2 * reach / CELL) * _LANES
+    x = (np.arange(count) + 0.5) * CELL / _LANES - reach
+    lane = (np.arange(count) % _LANES + 0.5) * HALF_WIDTH / _LANES
+    grid = np.stack([np.tile(x, 2), np.concatenate([lane, -lane]), np.full(2 * count, -_ABOVE)], 1)
+    ahead = grid / np.linalg.norm(grid, axis=1, keepdims=True)  # from a point above the robot
+    # From frame L, which is level, to world, where gravity may be tilted
+    turn = np.eye(3) if state.orientation is None else state.orientation
+    turn = turn @ attitude(state.roll, state.pitch, 0.0).T
+    centre = np.array([state.position[0], state.side, state.position[1]])
+    origin = centre + _ABOVE * turn[:, 2]
+    far = world.cast_rays(origin, ahead @ turn.T, 2 * _ABOVE)
+    hit = np.isfinite(far)
+    points = ahead[hit] * far[hit, None] + (0.0, 0.0, _ABOVE)
+    return np.asarray(points[np.argsort(points[:, 0], kind="stable")])
 
 
 NEAREST = 0.3
