@@ -27,7 +27,9 @@ import yaml
 from stable_baselines3 import DQN, TD3
 
 from docs import generate
+from flipperctl.cli.glossary import GLOSSARY
 from flipperctl.cli.main import app
+from flipperctl.text import elsewhere
 
 ROOT = Path(__file__).parents[1]
 MANUAL = [*(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md"))]
@@ -175,6 +177,30 @@ def unknown_settings() -> Iterator[str]:
             yield f"{page}: there is no setting {span}"
 
 
+def strange_words() -> Iterator[str]:
+    """Yield settings of the glossary and of other tools' words that do not exist, and extras."""
+    known = re.findall(r"^\| `([\w.<>]+)` \|", generate.settings(), re.MULTILINE)
+    sections = "|".join({path.partition(".")[0] for path in known if "." in path})
+    texts = [*GLOSSARY.values(), *elsewhere.HERE.values()]
+    named = re.findall(rf"\b(?:{sections})\.[a-z_0-9.]*[a-z0-9]\b", " ".join(texts))
+    for path in dict.fromkeys(named):
+        if re.sub(r"^rewards\.\w+\.", "rewards.<term>.", path) not in known:
+            fields = re.findall(rf"^    {path.rpartition('.')[2]}: ", _plugin_code(), re.MULTILINE)
+            if not fields:
+                yield f"glossary or text/elsewhere.py: there is no setting {path}"
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        extras = tomllib.load(file)["project"]["optional-dependencies"]
+    table = (ROOT / "docs" / "first_run.md").read_text()
+    rows = " ".join(re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", table, re.MULTILINE))
+    listed = set(re.findall(r"`(\w+)`", rows))
+    if differ := listed ^ (extras.keys() - {"docs", "onnx", "robot", "dev"}):
+        yield f"docs/first_run.md: pyproject.toml has other extras: {sorted(differ)}"
+
+
+def _plugin_code() -> str:
+    return "\n".join(file.read_text() for file in (ROOT / "plugins").rglob("*.py"))
+
+
 def missing_places() -> Iterator[str]:
     """Yield files, links, modules and targets of make that are named and do not exist."""
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
@@ -281,6 +307,7 @@ CHECKS = (
     long_sentences,
     unknown_options,
     unknown_settings,
+    strange_words,
     missing_places,
     places_of_a_machine,
     vague_names,

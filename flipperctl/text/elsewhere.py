@@ -31,12 +31,13 @@ _WORDS = {
     "robot=FILE": "urdf mjcf",
     "export onnx": "torchscript jit deploy",
 }
-_HERE = {word: ours for ours, words in _WORDS.items() for word in words.split()}
+HERE = {word: ours for ours, words in _WORDS.items() for word in words.split()}
+"""A word of another tool → what is typed here."""
 
 
 def here(word: str) -> str | None:
     """Return what stands for another tool's word, such as ``lr`` or ``--env-id``."""
-    return _HERE.get(word.lstrip("-").lower().replace("-", "_").replace(" ", "_"))
+    return HERE.get(word.lstrip("-").lower().replace("-", "_").replace(" ", "_"))
 
 
 def called_here(word: str) -> str:
