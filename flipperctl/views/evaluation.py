@@ -160,10 +160,11 @@ def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iter
     """
     table = policies(evaluated, title, columns)
     rows = list(difference_rows(evaluated, "scene" in {column.key for column in table.columns}))
+    # Their p-values are corrected together, those of each part of the episodes included.
+    tested = [other for *_, scene in _policies(evaluated) for other in compared(scene)]
+    of = sum(1 + len(other["difference"].get("parts", ())) for other in tested)
     # A few differences are sentences below the table; many are a table of their own.
     if 0 < len(rows) <= _LINES and not any(row["scene"] for row in rows):
-        tested = [other for *_, scene in _policies(evaluated) for other in compared(scene)]
-        of = sum(1 + len(other["difference"].get("parts", ())) for other in tested)
         several = len({row["policy"] for row in rows}) > 1
         table.notes += [_sentence(row, several=several, of=of) for row in rows]
     yield table
@@ -174,7 +175,7 @@ def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iter
             Column("against", "against", named=True),
             Column("variation", "Δ pitch variation [rad]", sign="+"),
             *([_ROLL_GAP] if any(row[_ROLL_GAP.key] for row in rows) else []),
-            Column("success_text", "Δ success (p, Holm)"),
+            Column("success_text", f"Δ success (p, Holm of {of})"),
         ]
         shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
         yield Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
