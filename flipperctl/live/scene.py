@@ -193,9 +193,10 @@ class LiveScene:
         self._build(robot)
         self._profile = profile
         # The name lies on the ground ahead: above its robot it would hide those of farther lanes.
-        self._label = self._scene.add_label(
-            f"{self._name}/label", label, visible=bool(label), anchor="bottom-left"
-        )
+        # A frame moves, and the label in it stays as it is, as on the chassis before.
+        self._label = self._scene.add_frame(f"{self._name}/label", show_axes=False)
+        if label:
+            self._scene.add_label(f"{self._name}/label/text", label, anchor="bottom-left")
 
     def _build(self, robot: RobotGeometry) -> None:
         self._robot = robot
