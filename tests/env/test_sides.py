@@ -78,3 +78,18 @@ def test_points_below_the_tracks_are_in_frame_l_by_hand() -> None:
     assert high[:, :2].min(axis=0) == pytest.approx([0.0, -0.315], abs=0.02)
     assert high[:, 1].max() == pytest.approx(-0.1, abs=0.1)
     assert high[:, 2] == pytest.approx(-0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize("sim", [{"one_sided": 1.0}, {"oblique": 0.4}, {"stagger": 0.3}])
+def test_a_step_from_side_to_side_is_no_slope_for_the_map(sim: dict[str, float]) -> None:
+    envs = [
+        FlipperEnv("paper_step", sim={"name": "mujoco", **sim}, perception=sensor | {"sides": True})
+        for sensor in ({}, {"name": "lidar"})
+    ]
+    for seed in range(3):
+        exact, mapped = (env.reset(seed=seed)[0][: 6 * N].reshape(6, N) for env in envs)
+        seen = envs[1].perception.seen
+        assert seen is not None
+        assert seen.mean() > 0.4
+        # Ground below the tracks that was seen has its height.
+        assert np.median(np.abs(exact - mapped)[2:, seen]) < 0.02

@@ -124,11 +124,11 @@ def test_a_policy_with_sides_has_the_same_targets_on_topics(tmp_path: Path) -> N
     # Its rates are two heights ahead on the left.
     policy = write(tmp_path / "sides.onnx", **SIDES | RATES | {"first": 39, "scale": 3.0})
     devices = devices_of({"lidar": PLACE}, "test")
-    config = recorded_robot((*SCENE, "perception.sides=true"), devices).config
-    alone = targets(config, load_policy(policy).build(config), 0)
-    assert len({tuple(pair) for pair in alone}) > 3
+    config = recorded_robot((*SCENE, "sim.one_sided=1", "perception.sides=true"), devices).config
+    # Until a pair is held, which one side's load turns away
+    alone = targets(config, load_policy(policy).build(config), 0)[:12]
     assert np.ptp(alone) > 0.5
-    assert driven(config, devices, policy, 0) == alone
+    assert driven(config, devices, policy, 0)[:12] == alone
 
 
 def test_motors_without_a_command_stand(policy: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -95,15 +95,18 @@ def clearances(circles: FloatArray, radius: float, points: FloatArray) -> FloatA
 
 _FEWEST = 8  # points of a column, and columns, without which no slope is estimated [-]
 _WIDE = 0.1  # standard deviation of the places beside the line that a column needs [m]
+OFF_LINE = 0.02
+"""Deviation from a line by which ground of two sides is told from ground that leans [m]."""
 _LARGEST_SLOPE = 0.7  # larger slopes are of edges along the way, not of the ground [-]
 
 
-def lateral_slope(points: FloatArray, cell: float) -> float:
+def lateral_slope(points: FloatArray, cell: float, off: float = math.inf) -> float:
     """Return by how much the ground rises to the left per length [-].
 
     ``points`` (P, 3) are along the way, beside it and up [m]; ``cell`` is the length of a column
     [m]. It is the median of the columns' slopes, so that obstacles on one side of less than half
-    the way do not count; 0 if there are too few.
+    the way do not count; 0 if there are too few. ``off``: standard deviation of the heights from a
+    column's line up to which it counts [m]; a step from side to side is no slope.
     """
     if not len(points):
         return 0.0
@@ -118,6 +121,10 @@ def lateral_slope(points: FloatArray, cell: float) -> float:
     # A line through each column that is wide enough; the median leaves out obstacles.
     squares = np.bincount(number, across**2)
     usable = (count >= _FEWEST) & (squares >= _WIDE**2 * count)
+    if math.isfinite(off):
+        risen = np.bincount(number, across * height) / np.maximum(squares, 1e-12)
+        left = np.bincount(number, height**2) - risen**2 * squares
+        usable &= left <= off**2 * count
     if usable.sum() < _FEWEST:
         return 0.0
     slope = float(np.median(np.bincount(number, across * height)[usable] / squares[usable]))
@@ -321,7 +328,7 @@ class GroundSeen:
         reach = self._reach + _PAST
         near = self._cells.around(x, y, yaw, (-reach, reach), q.half_width, dense=True)
         near[:, 2] -= z
-        slope = lateral_slope(near, q.cell)
+        slope = lateral_slope(near, q.cell, OFF_LINE if s.sides else math.inf)
         ground_columns = columns(straightened(near, slope), q.cell, q.fewest)
 
         # The line of the ground: seen, assumed at the start, with drops behind edges

@@ -40,7 +40,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.building import built
 from flipperctl.core.lidar.body import attitude
-from flipperctl.core.lidar.ground import lateral_slope, side_of
+from flipperctl.core.lidar.ground import OFF_LINE, lateral_slope, side_of
 from flipperctl.core.lidar.outline import columns, points_along, polyline
 from flipperctl.core.observation import HALF_WIDTH, SIDES, bin_heights
 
@@ -243,7 +243,8 @@ class TerrainSensor:
 
     def _of_sides(self, points: FloatArray) -> Iterator[FloatArray]:
         """Yield the heights of each side by points (P, 3) in frame L, as a LiDAR's map does."""
-        s, slope = self.settings, lateral_slope(points, CELL)
+        s = self.settings
+        slope = lateral_slope(points, CELL, OFF_LINE + s.noise)
         for sign in SIDES.values():
             line = polyline(columns(side_of(points, sign, slope), CELL, 1), s.noise)
             level = np.zeros(len(line), np.bool_)
