@@ -94,7 +94,7 @@ def test_no_class_of_a_plugin_is_asked_for_outside_its_room() -> None:
 
 @pytest.mark.usefixtures("registry")
 def test_a_planner_is_given_the_rewards_as_ours_is(tmp_path: Path) -> None:
-    plugins.load([saved("tutorials/controller.md", "nearsighted.py", tmp_path)])
+    plugins.load([ROOT / "examples" / "nearsighted.py"])
     config = EvalConfig(terrain="step", rewards={"end": {"name": "end", "weight": 2.5}})
     for name in ("nearsighted", "value_iteration"):
         planner = resolver.create("controller", name, "controller")
@@ -106,7 +106,7 @@ def test_a_planner_is_given_the_rewards_as_ours_is(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("registry")
 def test_a_planner_drives_for_the_rewards_of_the_user(tmp_path: Path) -> None:
-    plugins.load([saved("tutorials/controller.md", "nearsighted.py", tmp_path)])
+    plugins.load([ROOT / "examples" / "nearsighted.py"])
     source = PolicySource(settings={"name": "nearsighted", "ahead": 1})
     held, unpaid = (EvalConfig(terrain="flat", rewards=paid) for paid in ({"travel": "travel"}, {}))
     for config, action in ((held, action_index(0, 0)), (unpaid, 0)):  # any is as good as the first

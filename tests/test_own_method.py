@@ -42,6 +42,7 @@ def test_every_method_of_the_page_is_trained_saved_and_evaluated(tmp_path: Path)
             if "sb3_ppo.onnx" in block:
                 names["model"] = PPO("MlpPolicy", env, n_steps=64).learn(64)
             exec(fewer(block), names)
+        exec(fewer((ROOT / "examples" / "own_method" / "loop_dqn.py").read_text()), {})
     seeds = {file.stem: OnnxPolicy(file).interface.seed for file in tmp_path.glob("*.onnx")}
     assert seeds == {"sb3_dqn": 1, "sb3_ppo": 1, "sb3_sac": 1, "loop_dqn": 1, "dqn1": 1}
     assert sorted(scene["controller"] for scene in names["result"].scenes) == ["follow", "level"]
