@@ -13,6 +13,8 @@ from flipperctl.views.benchmark import document, table
 
 _SHOWN = "generalist", "geometric", "okada", "level"
 """Methods whose pitch variation stands beside each other."""
+_TRAINED = "at_d3qn", "sb3_dqn"
+"""Trainings by five seeds, beside them where costs are compared by scene."""
 
 
 def results(folder: Path) -> list[BenchmarkResult]:
@@ -35,8 +37,9 @@ def _name(track: str, scene: str) -> str:
 
 
 def by_scene(files: Sequence[BenchmarkResult]) -> Table:
-    """Return the score of each method on each scene, with intervals."""
-    played = {r.method: scores(r, find_benchmark(r.benchmark)) for r in files}
+    """Return the scores of some methods on each scene, with intervals; files have those of all."""
+    shown = {*_SHOWN, *_TRAINED}
+    played = {r.method: scores(r, find_benchmark(r.benchmark)) for r in files if r.method in shown}
     methods = sorted(played, key=lambda method: played[method]["plane", ""].ratio.mean)
     scenes = {at: None for of_method in played.values() for at in of_method if at[1]}
     rows = [
