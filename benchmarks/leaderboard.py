@@ -13,7 +13,7 @@ from flipperctl.views.benchmark import document, table
 
 _SHOWN = "generalist", "geometric", "okada", "level"
 """Methods whose pitch variation stands beside each other."""
-_TRAINED = "at_d3qn", "sb3_dqn"
+_TRAINED = "at_d3qn", "sb3_dqn", "sb3_ppo"
 """Trainings by five seeds, beside them where costs are compared by scene."""
 
 
