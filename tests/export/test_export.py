@@ -182,8 +182,10 @@ def test_a_missing_package_is_named(
 
 
 def test_metadata_have_sides_of_a_layout_with_sides_alone() -> None:
-    plain = TrainConfig(terrain="step")
-    sided = TrainConfig(terrain="step", perception={"name": "planar", "sides": True})
+    plain = parse(TrainConfig, {"terrain": "step", "network": "at_d3qn"})
+    sided = parse(
+        TrainConfig, {**resolver.to_dict(plain), "perception": {"name": "planar", "sides": True}}
+    )
     assert "flipperctl.sides" not in policy_metadata(plain)
     interface = read_interface(policy_metadata(sided), "a file")
     assert (interface.sides, interface.heights, interface.size) == (True, 90, 94)

@@ -28,6 +28,7 @@ from pydantic import Field
 
 from flipperctl.api import (
     FloatArray,
+    GroundSensor,
     Mounting,
     Profile,
     RayWorld,
@@ -140,12 +141,11 @@ class PlanarSensor(Sensor):
         """Return a sensor that samples the profile once for the whole episode."""
         return TerrainSensor(profile, self, margin)
 
-    def mounted(self, mounting: Mounting) -> TerrainSensor:
+    def mounted(self, mounting: Mounting) -> GroundSensor:
         """Return a sensor of the profile, and with ``sides`` of the ground beside it in 3-D."""
-        is_3d = self.sides and isinstance(mounting.rays, RollingWorld)
-        return TerrainSensor(
-            mounting.profile, self, mounting.margin, mounting.rays if is_3d else None
-        )
+        if not (self.sides and isinstance(mounting.rays, RollingWorld)):
+            return super().mounted(mounting)
+        return TerrainSensor(mounting.profile, self, mounting.margin, mounting.rays)
 
 
 class TerrainSensor:
