@@ -92,8 +92,8 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
         yield report
 
     player = Player(progress=killing)
-    found = play_episodes(config, OKADA, episodes=6, seed=3, player=player, jobs=2)
-    assert found == play_episodes(config, OKADA, episodes=6, seed=3)
+    found = play_episodes(config, OKADA, episodes=16, seed=3, player=player, jobs=2)
+    assert found == play_episodes(config, OKADA, episodes=16, seed=3)
     assert "a worker died and is replaced; episode" in caplog.text
 
 
