@@ -24,9 +24,6 @@ from flipperctl.config.resolver import nested_plugins, to_dict
 from flipperctl.errors import ConfigError
 from flipperctl.plugging import guard
 
-_OWN = ("flipperctl", "flipperctl_plugins")
-"""Packages whose plugins the version of flipperctl describes."""
-
 _COUNTS = ("steps", "hurdles", "plates", "piles", "bars", "blocks", "waves", "obstacles")
 """Ranges of the number of a terrain's parts."""
 
@@ -138,7 +135,7 @@ def _code_digest(cls: type[Plugin]) -> str:
 def foreign_plugins(plugins: Iterable[Plugin]) -> list[Plugin]:
     """Return the plugins, those within settings included, that are not part of flipperctl."""
     parts = (part for plugin in plugins for part in nested_plugins(plugin))
-    return [part for part in parts if type(part).__module__.partition(".")[0] not in _OWN]
+    return [part for part in parts if not guard.is_built_in(part)]
 
 
 def _sources(name: str, files: dict[str, Path]) -> Iterable[Path]:

@@ -36,16 +36,16 @@ def names(labels: Sequence[str]) -> dict[str, str]:
 def _last(text: str, count: int, with_seed: bool) -> str:
     """Return the last parts of a path; settings in the last part are shortened to their values."""
     *folders, last = text.split("/")
-    if folders and not with_seed and re.fullmatch(r"\d+_seed=\d+", last):
-        last = folders.pop()  # a sweep of seeds alone is called by its folder
     parts: list[str] = []
     for part in map(str.strip, _JOB.sub("", last).split(",")):
         key, equals, value = part.partition("=")
-        if key == "seed" and parts and not with_seed:
+        if key == "seed" and (parts or folders) and not with_seed:
             continue
         name = key.rpartition(".")[2]
         plain = not equals or name == "seed" or re.fullmatch(r"[-+.\deE]+|true|false|null", value)
         parts.append(f"{name}={value}" if equals and plain else value if equals else part)
+    if not parts:  # a sweep of seeds alone is called by its folder
+        parts.append(folders.pop())
     return "/".join([*folders[len(folders) - count + 1 :], ", ".join(parts)])
 
 

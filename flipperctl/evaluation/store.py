@@ -27,6 +27,7 @@ from flipperctl.env.metrics import CORE, measures
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
+from flipperctl.plugging.guard import OWN
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.rollout.statement import package_files
 from flipperctl.sim.versions import engine_versions
@@ -148,7 +149,7 @@ def code_digest() -> str | None:
     """Return a hash of the code of the checkout that runs; None for an installed package."""
     if _checkout() is None:
         return None
-    files = [*package_files("flipperctl").items(), *package_files("flipperctl_plugins").items()]
+    files = [item for package in OWN for item in package_files(package).items()]
     return _digest([digest for name, digest in files if name.endswith(".py")])[:_SHORT]
 
 

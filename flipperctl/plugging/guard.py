@@ -33,6 +33,8 @@ from flipperctl.errors import (
 _LONGEST = 300  # characters of an exception's text
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 _CORE = "flipperctl"
+OWN = (_CORE, "flipperctl_plugins")
+"""Packages whose plugins the version of flipperctl describes."""
 USER_MODULE = "flipperctl_user_"
 """Prefix of the packages of plugins that were loaded from a path, one for each folder."""
 
@@ -91,6 +93,12 @@ def attributed(error: BaseException) -> FlipperctlError | None:
     return _named(error, f"{labels}: ", method, _last(called)) if labels else None
 
 
+def is_built_in(plugin: Plugin | type[Plugin]) -> bool:
+    """Return whether a plugin is part of flipperctl."""
+    module = (plugin if isinstance(plugin, type) else type(plugin)).__module__
+    return module.partition(".")[0] in OWN
+
+
 def raise_named(
     error: BaseException,
     plugin: Plugin | type[Plugin],
@@ -113,9 +121,7 @@ def raise_named(
     where = place(error) or definition(plugin, method)
     if plain:
         # A built-in plugin's reason is enough; a user's own may be a mistake in its code.
-        module = (plugin if isinstance(plugin, type) else type(plugin)).__module__
-        inside = module.partition(".")[0] in ("flipperctl", "flipperctl_plugins")
-        at = "" if inside else f" ({method}, {where})"
+        at = "" if is_built_in(plugin) else f" ({method}, {where})"
         raise raised(f"{plugin_label(plugin)}: {_text(error)}{at}") from error
     raise _named(error, f"{plugin_label(plugin)}{while_}: ", method, where, raised) from error
 

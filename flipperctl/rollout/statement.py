@@ -22,10 +22,11 @@ from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env.metrics import measures
 from flipperctl.errors import FlipperctlError, WorkerDiffersError
 from flipperctl.plugging import plugins
+from flipperctl.plugging.guard import OWN
 from flipperctl.rollout import cluster
 from flipperctl.sim.versions import engine_versions
 
-_PACKAGES = ("flipperctl", "flipperctl_plugins", "flipperctl.configs")
+_PACKAGES = (*OWN, "flipperctl.configs")
 _SUFFIXES = (".py", ".yaml")
 _PYTHON, _LIBRARIES = "Python", ("flipperctl", "numpy", "torch", "pymunk", "numba", "mujoco")
 _DIGITS = 12  # of a SHA-256 in an error

@@ -328,11 +328,9 @@ class FlipperController:
         assert ground.heights is not None  # of a map
         # In standby a decision is tried too, so that what would prevent it shows before the belts
         # start.
-        pose, more = self._estimator.pose, {}
-        if self.policy.interface.sides:
-            more["roll"] = angles.roll
+        pose, roll = self._estimator.pose, angles.roll if self.policy.interface.sides else None
         action = self.policy.act(
-            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch, **more),
+            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch, roll=roll),
             (pose.x, pose.y, pose.z),
         )
         if self._states.update(now, None) != "driving":

@@ -181,8 +181,8 @@ class OnnxPolicy:
             both = (self._heights(side, pitched) for side in sides)
             heights = np.concatenate([heights, *both])
         heights = np.resize(heights, self.interface.heights)
-        more = {"roll": roll} if with_sides else {}
-        return layout.assemble(heights, front=front, rear=rear, pitch=pitch, **more)
+        tilted = roll if with_sides else None
+        return layout.assemble(heights, front=front, rear=rear, pitch=pitch, roll=tilted)
 
     def _heights(self, points: ArrayLike, pitch: float) -> NDArray[np.float64]:
         """Return the heights of the bins by points (P, 2), which are pitched by so much [rad]."""

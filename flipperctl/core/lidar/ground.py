@@ -328,6 +328,7 @@ class GroundSeen:
         reach = self._reach + _PAST
         near = self._cells.around(x, y, yaw, (-reach, reach), q.half_width, dense=True)
         near[:, 2] -= z
+        # Without sides the map stays as policies without them were trained and calibrated on it.
         slope = lateral_slope(near, q.cell, OFF_LINE if s.sides else math.inf)
         ground_columns = columns(straightened(near, slope), q.cell, q.fewest)
 
