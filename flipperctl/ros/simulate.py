@@ -55,6 +55,8 @@ _PERIOD = 0.02
 """Time between two commands to the motors [s]."""
 _SAMPLE = 0.01
 """That time in lockstep, a sample of the simulation [s]."""
+_BEHIND = 0.1
+"""How far the simulation may be behind real time, as old as a robot's joints may be [s]."""
 
 
 @dataclass(frozen=True)
@@ -392,6 +394,8 @@ def simulate(
     try:
         robot, env = TopicRobot(wire, devices, config, link, tell), FlipperEnv(config=config)
         seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
+        # The first decision compiles code, for seconds that a robot in real time does not have.
+        next(decisions(env, robot, seeds(0)))
         for episode in range(episodes):
             robot.prepare(episode)
             if not robot.answered:
@@ -403,6 +407,11 @@ def simulate(
                 targets.append([round(float(angle), 6) for angle in env.drive.targets])
                 ending = decision.ending
             assert ending is not None  # decisions() yields until there is one
+            if not link.simulated_clock and robot.numbers.behind > _BEHIND:
+                tell(
+                    f"the simulation was up to {robot.numbers.behind:.1f} s behind real time, and "
+                    "its messages as old; with --sim-time the node's clock waits for it"
+                )
             yield _row(episode, ending, robot.numbers, env.state, time.monotonic() - begun, targets)
     finally:
         wire.close()
