@@ -9,12 +9,20 @@ from flipperctl.api import Outcome
 from flipperctl.evaluation.benchmark import BenchmarkResult, find_benchmark, read_result, scores
 from flipperctl.plugging import plugins
 from flipperctl.text.show import Column, Table, markdown
-from flipperctl.views.benchmark import document, table
+from flipperctl.views.benchmark import document
 
 _SHOWN = "generalist", "geometric", "okada", "level"
 """Methods whose pitch variation stands beside each other."""
-_TRAINED = "at_d3qn", "sb3_dqn", "sb3_ppo"
-"""Trainings by five seeds, beside them where costs are compared by scene."""
+_COMPARED = (*_SHOWN, "at_d3qn")
+"""Methods whose costs are compared by scene; the first with intervals."""
+_TELLING = {
+    "plane": (
+        *("step", "uplift", "gap", "plum", "stairwell", "natural ground, class G"),
+        *("damaged stairs at friction 0.6", "absolem, building stair", "all kinds, wide"),
+    ),
+    "3-D": ("pallet",),
+}
+"""Scenes whose pitch variation is shown, by track: where the policy does well, and where not."""
 
 
 def results(folder: Path) -> list[BenchmarkResult]:
@@ -27,8 +35,19 @@ def results(folder: Path) -> list[BenchmarkResult]:
 
 
 def leaderboard(files: Sequence[BenchmarkResult]) -> Table:
-    """Return the scores of all methods, best first."""
-    return table([document(r, scores(r, find_benchmark(r.benchmark))) for r in files], scenes=False)
+    """Return the scores of all methods in both tracks, best first."""
+    methods = [document(r, scores(r, find_benchmark(r.benchmark))) for r in files]
+    methods.sort(key=lambda method: float(method["tracks"]["plane"]["ratio"]["mean"]))
+    rows = [
+        {"method": f"`{method['method']}`"}
+        | {track: part["ratio"] for track, part in method["tracks"].items()}
+        | {f"{t} success": f"{100 * p['success']:.3g} %" for t, p in method["tracks"].items()}
+        for method in methods
+    ]
+    columns = [Column("method", "method")]
+    for track in _TELLING:
+        columns += [Column(track, track, 2), Column(f"{track} success", "success")]
+    return Table(columns, rows)
 
 
 def _name(track: str, scene: str) -> str:
@@ -37,28 +56,31 @@ def _name(track: str, scene: str) -> str:
 
 
 def by_scene(files: Sequence[BenchmarkResult]) -> Table:
-    """Return the scores of some methods on each scene, with intervals; files have those of all."""
-    shown = {*_SHOWN, *_TRAINED}
-    played = {r.method: scores(r, find_benchmark(r.benchmark)) for r in files if r.method in shown}
-    methods = sorted(played, key=lambda method: played[method]["plane", ""].ratio.mean)
-    scenes = {at: None for of_method in played.values() for at in of_method if at[1]}
+    """Return the costs of some methods on each scene; the files have those of all."""
+    played = {
+        r.method: scores(r, find_benchmark(r.benchmark)) for r in files if r.method in _COMPARED
+    }
+    first, *others = [method for method in _COMPARED if method in played]
     rows = [
         {
             "scene": _name(*at),
-            **{m: played[m][at].ratio.to_dict() for m in methods if at in played[m]},
+            first: score.ratio.to_dict(),
+            **{m: played[m][at].ratio.mean for m in others if at in played[m]},
         }
-        for at in scenes
+        for at, score in played[first].items()
+        if at[1]
     ]
-    return Table((Column("scene", "scene"), *(Column(m, f"`{m}`", 2) for m in methods)), rows)
+    return Table((Column("scene", "scene"), *(Column(m, f"`{m}`", 2) for m in _COMPARED)), rows)
 
 
 def crossings(files: Sequence[BenchmarkResult]) -> Table:
-    """Return the mean pitch variation of what a policy and rules reached on each scene."""
+    """Return the mean pitch variation of what a policy and rules reached on telling scenes."""
     played = {
         (r.method, scene.track, scene.scene): scene.policies[0]
         for r in files
         if r.method in _SHOWN
         for scene in r.scenes
+        if scene.scene in _TELLING[scene.track]
     }
     rows = []
     for track, scene in dict.fromkeys((track, scene) for _, track, scene in played):

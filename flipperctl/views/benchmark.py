@@ -24,7 +24,7 @@ def document(result: BenchmarkResult, scores: Mapping[tuple[str, str], Score]) -
     return {"method": result.method, "seeds": seeds, "edition": result.edition, "tracks": tracks}
 
 
-def table(methods: Sequence[Document], *, scenes: bool = True) -> Table:
+def table(methods: Sequence[Document]) -> Table:
     """Return the table of methods, best first in each track, then of their scenes."""
     tracks = dict.fromkeys(name for method in methods for name in method["tracks"])
     rows: list[dict[str, Any]] = []
@@ -34,7 +34,7 @@ def table(methods: Sequence[Document], *, scenes: bool = True) -> Table:
         whole = [(track, method["method"], method["tracks"][track]) for method in present]
         parts = [
             (f"{track}: {name}", method["method"], method["tracks"][track]["scenes"][name])
-            for name in (present[0]["tracks"][track]["scenes"] if scenes else ())
+            for name in present[0]["tracks"][track]["scenes"]
             for method in present
         ]
         rows += [
