@@ -35,8 +35,6 @@ ROOT = Path(__file__).parents[1]
 MANUAL = [*(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md"))]
 MANUAL += sorted((ROOT / "docs").rglob("*.md"))
 PROSE = [*MANUAL, ROOT / "CHANGELOG.md", *sorted((ROOT / "flipperctl" / "policies").glob("*.md"))]
-UPGRADE = "docs/upgrade.md"
-"""Page that names what existed before."""
 MEAN, MOST = 18, 35
 """Words of a sentence: largest mean of a page, and largest number of one [-]."""
 CHANGELOG_LINES = 120
@@ -161,7 +159,7 @@ def unknown_settings() -> Iterator[str]:
     arguments = {*signature(DQN).parameters, *signature(TD3).parameters}
     for page, span in spans():
         named = _SETTING.fullmatch(span)
-        if page == UPGRADE or not named or named[1].partition(".")[0] not in sections:
+        if not named or named[1].partition(".")[0] not in sections:
             continue
         path = re.sub(r"^rewards\.\w+\.", "rewards.<term>.", named[1])
         path = re.sub(r"^logger\.\w+\.", "logger.<logger>.", path)
