@@ -3,6 +3,7 @@
 import contextlib
 import math
 import re
+import runpy
 import shlex
 import shutil
 from collections.abc import Iterator
@@ -99,7 +100,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write(folder / method / str(seed), {label: 1 + seed / 10, "level": 1})
     for run in (FIRST, SWEPT):
         shutil.copytree(folder / SHOWN, folder / run)
-    for name in ("first.onnx", "varied.onnx", "sb3_dqn.onnx"):
+    for name in ("first.onnx", "sb3_dqn.onnx"):
         shutil.copy(folder / "stair.onnx", folder / name)
     (folder / "examples").symlink_to(ROOT / "examples")
     for name, text in saved().items():
@@ -267,7 +268,9 @@ def run(command: list[str], folder: Path) -> None:
             assert (folder / name).exists()
 
 
-def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_python_examples_run(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     def ran(word: str, **names_before: Any) -> dict[str, Any]:
         names: dict[str, Any] = dict(names_before)
         with contextlib.chdir(folder):
@@ -282,7 +285,9 @@ def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str
     turned = [i * math.pi / 12 for i in ACTIONS[names["action"]]]
     assert names["targets"] == pytest.approx(turned)
     assert names["period"] == pytest.approx(0.6)
-    names = ran("class StandIn")
+    loop, policy = folder / "examples/messages/loop.py", str(folder / "stair.onnx")
+    monkeypatch.setattr("sys.argv", ["loop.py", policy])
+    names = runpy.run_path(str(loop))
     assert names["robot"].decisions == 2
     assert all(abs(angle) <= math.pi / 6 + 1e-9 for angle in names["targets"])
     answer = ran("RobotSetup(")["answer"]
@@ -297,7 +302,7 @@ def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str
 def test_every_python_example_is_tried() -> None:
     assert [command for command in LAUNCHED if command not in commands()] == []
     library = ("flipperctl.train", "flipperctl.load", "flipperctl.plot")  # tests of their own
-    tried = *library, "mound.npy", "rgb_array", 'OnnxPolicy("stair.onnx")', "class StandIn"
+    tried = *library, "mound.npy", "rgb_array", 'OnnxPolicy("stair.onnx")'
     tried += "Conformance", "RobotSetup(", "CommandWatch()", "action_space.sample"
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
     others -= set(blocks("python", OWN_METHOD.read_text()))  # tests/test_own_method.py

@@ -1,15 +1,12 @@
-# Write the control loop yourself
+"""A control loop around an exported policy, for a robot whose driver has its own map of the ground.
 
-Train under varied conditions, then export:
+    python examples/messages/loop.py varied.onnx
 
-```sh
-flipperctl train terrain=stair conditions=varied --output runs/varied
-flipperctl export onnx runs/varied --output varied.onnx
-```
+``StandIn`` takes the place of the robot's driver. ``FlipperController`` does all this by itself
+where clouds, attitude, joint angles and belt speeds are at hand.
+"""
 
-[Install it on the robot](../robot.md#3-install-on-the-robot). The control loop is then:
-
-```python
+import sys
 import time
 
 from flipperctl.errors import FlipperctlError
@@ -19,29 +16,30 @@ from flipperctl.runtime import OnnxPolicy
 class StandIn:
     """Replace this by your robot's driver; this one stands on level ground for two decisions."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.angles, self.decisions = [0.0, 0.0], 0
 
-    def scan(self):
+    def scan(self) -> list[list[float]]:
         """Return points of the ground, x forward and z up from the chassis centre, level [m]."""
         return [[0.02 * i, -0.1] for i in range(-75, 76)]  # 0.1 m below the chassis centre
 
-    def pitch(self):
+    def pitch(self) -> float:
         """Return the pitch, nose up positive [rad]."""
         return 0.0
 
-    def drive(self, speed):
+    def drive(self, speed: float) -> None:
         """Move all belts at this speed [m/s]."""
 
-    def turn_to(self, targets):
+    def turn_to(self, targets: list[float]) -> None:
         """Turn the flippers to these angles [rad] at the speed that the metadata state."""
         self.angles, self.decisions = list(targets), self.decisions + 1
 
-    def running(self):
+    def running(self) -> bool:
+        """Return whether the operator wants the robot to drive ahead."""
         return self.decisions < 2
 
 
-policy, robot = OnnxPolicy("varied.onnx"), StandIn()
+policy, robot = OnnxPolicy(sys.argv[1]), StandIn()
 policy.reset()
 targets = robot.angles
 while robot.running():
@@ -59,16 +57,3 @@ while robot.running():
     robot.turn_to(targets)
     time.sleep(max(0.0, due - time.monotonic()))
 robot.drive(0.0)
-```
-
-The loop drives the belts whenever it decides, as in training. Where an operator stops them, pause it, and call
-`policy.reset()` before it goes on; [`FlipperController`](../controller.md) does so by itself.
-The policy [refuses](../robot.md#when-something-is-missing) what is missing.
-
-Before the first drive, check with the robot lifted:
-
-- **The signs.** Raise each pair by hand: its angle must grow, front and rear alike. Lift the nose: the pitch must grow.
-- **The heights.** In front of a step of known height, the bins ahead must differ by it from those below, in a frame that stays level.
-- **The delays.** Train with `perception.delay` and `robot.actuator_delay` above the age of the observation.
-
-Run the belts at the speed of the training (`robot.track_speed`, 0.2 m/s).
