@@ -1,6 +1,6 @@
 """What a stranger adds comes in by the same doors as what is built in.
 
-Each door is one file of the documentation in an empty folder, and no class of a plugin is asked for
+Each door is one file of the examples in an empty folder, and no class of a plugin is asked for
 outside its family's room.
 """
 
@@ -9,6 +9,7 @@ import importlib.util
 import os
 import pkgutil
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -28,16 +29,8 @@ from flipperctl.rollout.episode import decisions
 from tests.cli.call import call, refused
 
 ROOT = Path(__file__).parents[1]
-SAVED = re.compile(r"[Ss]ave this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", re.DOTALL | re.MULTILINE)
 ROOMS = {"flipperctl": ROOT / "flipperctl", "flipperctl_plugins": ROOT / "plugins"}
 CLASSES = ("isinstance", "issubclass")
-
-
-def saved(page: str, name: str, folder: Path) -> Path:
-    """Save a file that a page shows in an otherwise empty folder."""
-    file = folder / name
-    file.write_text(dict(SAVED.findall((ROOT / "docs" / page).read_text()))[name])
-    return file
 
 
 def modules() -> Iterator[tuple[str, Path]]:
@@ -115,7 +108,7 @@ def test_a_planner_drives_for_the_rewards_of_the_user(tmp_path: Path) -> None:
 
 
 def test_a_subcommand_of_a_file_is_like_ours(tmp_path: Path) -> None:
-    file = saved("tutorials/command.md", "rougher.py", tmp_path).name
+    file = Path(shutil.copy(ROOT / "examples" / "rougher.py", tmp_path)).name
     done = call("rougher", "level", "--episodes", "1", "--plugins", file, cwd=tmp_path)
     assert done.code == 0, done.err
     assert re.fullmatch(r"step: \d\.\d\d rad\nramp: \d\.\d\d rad\n", done.out)
@@ -134,7 +127,7 @@ def test_a_subcommand_of_a_file_is_like_ours(tmp_path: Path) -> None:
 
 
 def test_a_subcommand_that_fails_names_its_line(tmp_path: Path) -> None:
-    file = saved("tutorials/command.md", "rougher.py", tmp_path)
+    file = Path(shutil.copy(ROOT / "examples" / "rougher.py", tmp_path))
     file.write_text(file.read_text().replace("    terrains =", "    1 / 0\n    terrains ="))
     error = refused("rougher", "level", "--plugins", file.name, cwd=tmp_path, code=1)
     assert "command 'rougher': rougher raised ZeroDivisionError: " in error
@@ -179,18 +172,14 @@ def test_installed_subcommands_are_listed_and_a_broken_one_is_a_warning(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("page", "name", "words", "shown"),
-    [
-        ("plugins.md", "highest.py", [], "highest"),
-        ("tutorials/reward.md", "comfort.py", ["rewards.comfort=comfort"], "comfort"),
-    ],
+    ("name", "words"), [("highest", []), ("comfort", ["rewards.comfort=comfort"])]
 )
 def test_a_measure_and_a_reward_of_a_file_are_in_the_result(
-    page: str, name: str, words: list[str], shown: str, tmp_path: Path
+    name: str, words: list[str], tmp_path: Path
 ) -> None:
-    file = saved(page, name, tmp_path).name
+    file = Path(shutil.copy(ROOT / "examples" / f"{name}.py", tmp_path)).name
     more = ["--episodes", "1", "--baseline", "none", "--output", "result", "--plugins", file]
     done = call("eval", "level", "terrain=flat", *words, *more, cwd=tmp_path)
     assert done.code == 0, done.err
     head = (tmp_path / "result" / "episodes.csv").read_text().partition("\n")[0]
-    assert shown in head
+    assert name in head

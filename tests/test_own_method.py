@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from torch import nn
 
 import flipperctl
 from flipperctl.runtime import OnnxPolicy
@@ -33,16 +35,24 @@ def fewer(text: str) -> str:
 
 @pytest.mark.usefixtures("registry")
 def test_every_method_of_the_page_is_trained_saved_and_evaluated(tmp_path: Path) -> None:
-    from stable_baselines3 import PPO
+    from stable_baselines3 import PPO, SAC
 
+    page, examples = OWN_METHOD.read_text(), ROOT / "examples" / "own_method"
+    script = (examples / "sb3_dqn.py").read_text()
     env = flipperctl.environment(terrain="uplift")
     with contextlib.chdir(tmp_path):
-        names: dict[str, Any] = {}
-        for block in blocks("python", OWN_METHOD.read_text()):
+        names: dict[str, Any] = {"nn": nn}
+        exec(fewer(script), names)
+        for block in blocks("python", page):
             if "sb3_ppo.onnx" in block:
                 names["model"] = PPO("MlpPolicy", env, n_steps=64).learn(64)
-            exec(fewer(block), names)
-        exec(fewer((ROOT / "examples" / "own_method" / "loop_dqn.py").read_text()), {})
+            if block not in script:
+                exec(fewer(block), names)
+        rates = flipperctl.environment(terrain="uplift", actions="rates")
+        (actor,) = re.findall(r"`(nn\.Sequential\(model\.actor.+?)`", page)
+        of_sac = eval(actor, {"nn": nn, "model": SAC("MlpPolicy", rates, learning_starts=50)})
+        flipperctl.save(of_sac, rates, "sb3_sac.onnx", seed=1)
+        exec(fewer((examples / "loop_dqn.py").read_text()), {})
     seeds = {file.stem: OnnxPolicy(file).interface.seed for file in tmp_path.glob("*.onnx")}
     assert seeds == {"sb3_dqn": 1, "sb3_ppo": 1, "sb3_sac": 1, "loop_dqn": 1, "dqn1": 1}
     assert sorted(scene["controller"] for scene in names["result"].scenes) == ["follow", "level"]
