@@ -1,6 +1,10 @@
 """The outlines of the terrain families, of courses and of excerpts against numbers by hand."""
 
 import math
+import os
+import platform
+import subprocess
+import sys
 from collections import Counter
 
 import numpy as np
@@ -278,3 +282,30 @@ def test_ground_within_other_ground_keeps_no_start_of_its_own() -> None:
     for profile in (sequence, excerpt):
         assert not any("start_on" in name or "finish_on" in name for name in profile.drawn)
     assert "part2_height" in sequence.drawn
+
+
+OF_GROUND = """
+import hashlib, numpy as np
+from flipperctl.config import resolver
+from flipperctl.plugging import plugins
+plugins.load()
+for name in "{names}".split():
+    terrain, sha = resolver.create("terrain", {{"name": name}}, "terrain"), hashlib.sha256()
+    for seed in range(20):
+        sha.update(terrain.labelled(np.random.default_rng(seed)).points.tobytes())
+    print(name, sha.hexdigest())
+"""
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="names features of x86")
+def test_ground_is_the_same_bits_on_an_older_processor() -> None:
+    code = OF_GROUND.format(names=f"{FAMILIES} rough lip damaged_stair")
+    other = {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4", "OPENBLAS_CORETYPE": "Nehalem"}
+    here, there = (
+        subprocess.run(
+            [sys.executable, "-c", code], env=os.environ | more, check=True, capture_output=True
+        ).stdout
+        for more in ({}, other)
+    )
+    assert here == there
+    assert here.count(b"\n") == 14
