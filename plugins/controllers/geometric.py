@@ -87,7 +87,8 @@ class Geometric(Controller):
         front, rear = (int(np.abs(angles - angle).argmin()) for angle in (p.front, p.rear))
         costs = self._costs(poses, places[1])
         poses.pitch[0] = p.pitch
-        best = self._options(poses.pitch, costs)[:, front, rear].argmin()
+        # Equal plans differ in digits that depend on the processor; the first of them is taken.
+        best = np.round(self._options(poses.pitch, costs)[:, front, rear], 9).argmin()
         return action_index(*_TURNS[best])
 
     def _costs(self, poses: Rest, stride: float) -> FloatArray:
