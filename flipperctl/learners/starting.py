@@ -1,7 +1,7 @@
 """The weights that a training starts with in place of random ones.
 
 In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: the networks of the
-training with its weights.
+training with its weights. With ``perception.sides=true`` they may be of a policy without sides.
 """
 
 from __future__ import annotations
@@ -10,21 +10,19 @@ from typing import Any
 
 import torch
 
-from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import build_network
+from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import read
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError
 from flipperctl.learners.pair import NetworkPair
+from flipperctl.learners.widening import columns, give_weights, random_rows
 from flipperctl.policies.source import check_layout, load_policy
 from flipperctl.policies.trained import naming, policy_module, policy_risk
 
 SETTING = "agent.start_from"
-_ROWS = 64
-"""Random inputs on which the two networks must agree [-]."""
-
 
 Start = tuple[torch.nn.Module, torch.nn.Module | None]
 """The networks of a policy and of its risk, if a training takes that."""
@@ -41,10 +39,19 @@ def read_start(config: TrainConfig) -> Start | None:
     with naming(SETTING):
         checkpoint = read(file)
         module = policy_module(checkpoint)
-        layout = checkpoint.policy_config().perception.layout
-        check_layout(file, layout, config.environment())
+        layout, wide = checkpoint.policy_config().perception.layout, config.perception.layout
+        # A policy without sides does not heed what stands there.
+        seen = layout if layout.sides else layout.model_copy(update={"sides": wide.sides})
+        check_layout(file, seen, config.environment())
         risk = policy_risk(checkpoint) if config.agent.failure_risk else None
-    return _same_network(config, name, module), None if risk is None else risk.network
+    frames = config.network.frames
+    at, rows = columns(layout, wide, frames), random_rows(frames * wide.size)
+    network = _same_network(config, name, module, rows, at)
+    if risk is None:
+        return network, None
+    wider = RiskNetwork(rows.shape[1])
+    give_weights(risk.network, wider, rows, at)
+    return network, wider
 
 
 def load_start(config: TrainConfig, agent: NetworkPair) -> Start | None:
@@ -64,31 +71,39 @@ def load_start_weights(start: Start, agent: NetworkPair) -> None:
         agent.risk.network.load_state_dict(risk.state_dict())
 
 
-def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> torch.nn.Module:
+def _same_network(
+    config: TrainConfig,
+    name: str,
+    module: torch.nn.Module,
+    rows: torch.Tensor,
+    columns: torch.Tensor,
+) -> torch.nn.Module:
     """Return the training's network with the weights of ``module``, if both are one function.
 
     Settings that only change how it learns, such as a dropout, and names of weights may differ.
+    ``rows`` and ``columns``: see ``give_weights``.
     """
-    layout, network = config.perception.layout, config.network
-    # Equal shapes do not make equal functions: values of random inputs are compared as well.
-    built = build_network(network, layout, len(ACTIONS)).eval()
-    inputs = torch.randn(
-        (_ROWS, input_size(network, layout)), generator=torch.Generator().manual_seed(0)
-    )
     text = (
         f"{SETTING}: {name} has another network than this training; give it the same network and "
         "settings of the network"
     )
-    # Weights are matched in their order, since a version may have renamed them.
+    built = build_network(config.network, config.perception.layout, len(ACTIONS)).eval()
     try:
-        weights, initial = module.state_dict(), built.state_dict()
-        if [w.shape for w in weights.values()] != [w.shape for w in initial.values()]:
-            require_equal_layout(weights, initial)  # names what differs
-        built.load_state_dict(dict(zip(initial, weights.values(), strict=True)))
+        if len(columns) == rows.shape[1]:
+            _require_equal_shapes(module, built)
+        give_weights(module, built, rows, columns)
+        # Equal shapes do not make equal functions: values of random inputs are compared as well.
         with torch.inference_mode():
-            equal = torch.allclose(built(inputs), module(inputs), rtol=1e-4, atol=1e-4)
+            equal = torch.allclose(built(rows), module(rows[:, columns]), rtol=1e-4, atol=1e-4)
     except (ValueError, RuntimeError) as error:
         raise ConfigError(f"{text} ({str(error).splitlines()[0]})") from error
     if not equal:
         raise ConfigError(text)
     return built
+
+
+def _require_equal_shapes(module: torch.nn.Module, built: torch.nn.Module) -> None:
+    """Name the first weight whose shape differs."""
+    weights, initial = module.state_dict(), built.state_dict()
+    if [w.shape for w in weights.values()] != [w.shape for w in initial.values()]:
+        require_equal_layout(weights, initial)

@@ -44,6 +44,24 @@ def test_the_networks_start_with_the_weights_of_the_run(
         assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
+def test_a_policy_that_now_sees_both_sides_begins_as_it_was(
+    runs: Callable[[str], Path], tmp_path: Path
+) -> None:
+    start = {"agent.start_from": str(runs("stacked")), "network": {"name": "stacked"}}
+    new = begun(tmp_path, **start, **{"perception.sides": True})
+    old = policy_module(checkpoint.read(runs("stacked") / checkpoint.BEST))
+    # Two frames of 30 heights, 60 below the sides, the roll and three angles; any sides are alike
+    wide = torch.randn((8, 3, 94))
+    narrow = torch.cat([wide[..., :30], wide[..., 91:]], dim=2)
+    with torch.inference_mode():
+        ours, theirs = new.learning.policy(wide.flatten(1)), old(narrow.flatten(1))
+    assert torch.allclose(ours, theirs, atol=1e-5)
+    # Nor does a policy with sides start one without
+    back = {"agent.start_from": str(tmp_path), "network": {"name": "stacked"}}
+    with pytest.raises(CheckpointError, match="was trained on .*sides=true; perception asks for"):
+        training_run.check(few(**back))
+
+
 def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> None:
     def values(folder: str, **settings: object) -> list[torch.Tensor]:
         learning = begun(tmp_path / folder, **{**GRADIENT, **settings}).learning
