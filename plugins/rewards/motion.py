@@ -93,6 +93,28 @@ class Swing(RewardTerm):
         return -limited(self.slope * variation, 0.0, 1.0)
 
 
+@reward("roll")
+class Roll(RewardTerm):
+    """Penalise the change of the roll from one decision to the next; 0 in the side plane.
+
+    It is to ``roll_variation_100hz`` what ``swing`` with ``at_decisions`` is to the pitch's.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    elementwise: ClassVar[bool] = True
+    slope: float = Field(
+        1.0,
+        gt=0,
+        le=1000,
+        description="slope of the penalty; the cap of 1 is reached at 1/slope rad in a decision "
+        "[1/rad]",
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """Return the reward in [-1, 0]."""
+        return -limited(self.slope * abs(t.after.roll - t.before.roll), 0.0, 1.0)
+
+
 @reward("travel")
 class Travel(RewardTerm):
     """Penalise the angle by which the flippers turn: it costs wear and energy.
