@@ -10,9 +10,6 @@ import torch
 
 from flipperctl.api import ObservationLayout
 
-_ROWS = 64
-"""Random inputs by which two networks are compared [-]."""
-
 
 def columns(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> torch.Tensor:
     """Return where the numbers of an input row of ``layout`` stand in one of ``wide``, (F · n,).
@@ -25,8 +22,8 @@ def columns(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> 
 
 
 def random_rows(size: int) -> torch.Tensor:
-    """Return random input rows, the same at each call, (R, ``size``) [-]."""
-    return torch.randn((_ROWS, size), generator=torch.Generator().manual_seed(0))
+    """Return random input rows, more than a layer has inputs, the same at each call, (R, size)."""
+    return torch.randn((2 * size, size), generator=torch.Generator().manual_seed(0))
 
 
 @torch.no_grad()
@@ -46,14 +43,14 @@ def give_weights(
     for source, target in zip(weights, initial, strict=True):
         if source.shape == target.shape:
             target.copy_(source)
-    # The inputs of a layer that sees more are matched by what reaches them, first layers first.
+    # A layer that sees more gets the weights by which it answers alike, first layers first. The
+    # smallest ones are taken: what it alone sees has none.
     for layer, wider in zip(_linear(module), _linear(built), strict=True):
         if layer.in_features != wider.in_features:
-            before = _reaching(module, layer, rows[:, columns])
-            after = _reaching(built, wider, rows)
-            apart = (before.T.unsqueeze(1) - after.T).abs().sum(dim=2)  # (inputs, wider inputs)
-            wider.weight.zero_()
-            wider.weight[:, apart.argmin(dim=1)] = layer.weight
+            seen, wanted = _reaching(built, wider, rows), _reaching(module, layer, rows[:, columns])
+            answers = wanted.double() @ layer.weight.T.double()
+            solved = torch.linalg.lstsq(seen.double(), answers, driver="gelsy")
+            wider.weight.copy_(solved.solution.T)
 
 
 def _linear(module: torch.nn.Module) -> list[torch.nn.Linear]:
