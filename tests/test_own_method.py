@@ -64,9 +64,10 @@ def test_a_notebook_runs(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     book = nbformat.read(file, as_version=4)
     nbformat.validate(book)
-    assert file.stat().st_size < 10_000
+    assert file.stat().st_size < 300_000
     cells = [cell for cell in book.cells if cell.cell_type == "code"]
-    assert all(not cell.outputs and cell.execution_count is None for cell in cells)
+    stored = [output for cell in cells for output in cell.outputs]  # readable where it is not run
+    assert any("image/png" in output.get("data", {}) for output in stored)
     for cell in cells:
         cell.source = fewer(cell.source)
     NotebookClient(book, resources={"metadata": {"path": str(tmp_path)}}).execute()

@@ -106,7 +106,7 @@ def explain(
     from flipperctl.cli import catalogue
     from flipperctl.cli.glossary import GLOSSARY
     from flipperctl.terminal import names as printed
-    from flipperctl.text.elsewhere import here
+    from flipperctl.text.elsewhere import called_here, here
     from flipperctl.text.messages import close_match
 
     # A word of the tables, a name or a setting; otherwise the nearest ones
@@ -126,7 +126,8 @@ def explain(
     keys = catalogue.keys_named(word)
     hits = [] if meaning or named or keys else catalogue.search(word, commands)
     if not (meaning or named or keys or hits):
-        hint = close_match(word, [*catalogue.names(), *commands])
+        nearest = close_match(word, [*catalogue.names(), *commands])
+        hint = called_here(word.rpartition(".")[2]) or nearest
         raise RequestError(f"nothing is called {word!r}{hint}; flipperctl list shows all kinds")
     document = {
         "word": word,
@@ -166,8 +167,8 @@ def _kinds() -> list[dict[str, Any]]:
 
 
 def _draw(file: Path) -> None:
-    """Draw every terrain that needs no file."""
-    from flipperctl.api import Robot
+    """Draw every terrain that needs no file; those that are made of others come last."""
+    from flipperctl.api import Profile, Robot, Terrain
     from flipperctl.cli.catalogue import entries
     from flipperctl.errors import FlipperctlError
     from flipperctl.figures.figure import save
@@ -175,14 +176,18 @@ def _draw(file: Path) -> None:
     from flipperctl.requests.compose import compose_environment
     from flipperctl.requests.text import from_words
 
-    profiles = {}
+    ground, composed = dict[str, Profile](), dict[str, Profile]()
     for entry in entries("terrain"):
         try:
             config = compose_environment(from_words([f"terrain={entry.name}"]))
-            profiles[entry.name] = sample(config, [0])[0][0]
+            # A field is a terrain, or several.
+            fields = [value for _, value in config.terrain]
+            parts = [part for f in fields for part in (f if isinstance(f, tuple) else (f,))]
+            kind = composed if any(isinstance(part, Terrain) for part in parts) else ground
+            kind[entry.name] = sample(config, [0])[0][0]
         except FlipperctlError as error:
             print_note(f"no picture of {entry.name}: {error}")
-    save(contact_sheet(profiles, Robot()), file)
+    save(contact_sheet(ground | composed, Robot()), file)
     print_note(f"wrote {file}")
 
 

@@ -57,10 +57,10 @@ _MARK = 0.12
 """Height of the marks of start and finish above the ground [m]."""
 _COLUMNS = 4
 """Largest number of small pictures in a row [-]."""
-_CELL = 1.1
+_CELL = 0.95
 """Height of a picture of a contact sheet, with its title [in]."""
-_SHAPE = 0.36
-"""Height of such a picture over its width [-]."""
+_SHAPE, _BAND = 0.36, 0.07
+"""Heights of such a picture, and of the ground below the lowest point, over its width [-]."""
 
 
 @in_style
@@ -103,7 +103,7 @@ def terrain_figure(
 def contact_sheet(profiles: Mapping[str, Profile], robot: RobotGeometry) -> Figure:
     """Draw each profile with its name, its size and the robot in front of it.
 
-    Each picture has a scale of its own, which the robot shows.
+    Each picture has a scale of its own, which a bar of one metre shows.
     """
     rows = -(-len(profiles) // _COLUMNS)
     figure = Figure(figsize=(WIDTH, _CELL * rows))
@@ -115,10 +115,14 @@ def contact_sheet(profiles: Mapping[str, Profile], robot: RobotGeometry) -> Figu
         # A scale of its own, with which the ground and the robot in front of it fill the picture
         low, high = profile.points.min(axis=0), profile.points.max(axis=0)
         behind = profile.start - 2 * _run_up(robot) + 0.1
-        width = max(high[0] + 0.4 - behind, (high[1] - low[1] + 0.55) / _SHAPE)
+        width = max(high[0] + 0.4 - behind, (high[1] - low[1] + 0.4) / (_SHAPE - _BAND))
         middle = (behind + high[0] + 0.4) / 2
-        axes.set_xlim(middle - width / 2, middle + width / 2)
-        axes.set_ylim(low[1] - 0.15, low[1] - 0.15 + width * _SHAPE)
+        bottom, right = low[1] - _BAND * width, middle + width / 2
+        axes.set_xlim(right - width, right)
+        axes.set_ylim(bottom, bottom + width * _SHAPE)
+        bar, height = right - 0.03 * width, (low[1] + bottom) / 2
+        axes.plot([bar - 1, bar], [height, height], "|-", color=INK, linewidth=0.8, markersize=3)
+        axes.text(bar - 1 - 0.02 * width, height, "1 m", size="xx-small", ha="right", va="center")
         axes.set_aspect("equal")
         axes.set_axis_off()
         axes.set_title(name, fontsize="small", color=INK, loc="left", pad=2.0)

@@ -1,6 +1,7 @@
 """``flipperctl list`` and ``explain``: names by kind, settings, words, and a search."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from rich.cells import cell_len
 from flipperctl.api import registry
 from flipperctl.cli.catalogue import KINDS, keys_named
 from flipperctl.config import TrainConfig
-from tests.cli.call import call
+from tests.cli.call import call, refused
 
 
 def document(*words: str, cwd: Path) -> Any:
@@ -105,4 +106,11 @@ def test_a_contact_sheet_of_the_terrains(tmp_path: Path) -> None:
     assert done.code == 0, done.err
     text = (tmp_path / "sheet.svg").read_text()
     names = [name for kind, name in registry if kind == "terrain"]
-    assert [name for name in names if f"<!-- {name} -->" not in text] == []
+    drawn = re.findall(r"<!-- (\w+) -->", text)
+    assert set(drawn) >= {*names} - {"profile_file"}  # which needs a file
+    assert drawn.index("wave") < drawn.index("all_courses")  # those made of others come last
+    assert text.count("<!-- 1 m -->") == len(names) - 1
+
+
+def test_a_word_of_another_tool_leads_to_ours_below_a_section_too(tmp_path: Path) -> None:
+    assert "(here it is agent.learning_rate)" in refused("explain", "agent.lr", cwd=tmp_path)
