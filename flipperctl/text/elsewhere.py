@@ -30,6 +30,7 @@ _WORDS = {
     "rewards.pitch.lambda_2": "λ2 λ_2 lambda2",
     "robot=FILE": "urdf mjcf",
     "export onnx": "torchscript jit deploy",
+    "examples/docker/Dockerfile": "docker dockerfile",
 }
 HERE = {word: ours for ours, words in _WORDS.items() for word in words.split()}
 """A word of another tool → what is typed here."""

@@ -36,7 +36,7 @@ def audit_table(audited: Document, notes: Sequence[str]) -> Table:
         for name, term in audited["terms"].items()
     ]
     title = (
-        f"{audited['controller']} on {audited['terrain']} · {audited['episodes']} episodes, "
+        f"{short(audited['controller'])} on {audited['terrain']} · {audited['episodes']} episodes, "
         f"{audited['decisions']} decisions · mean return {audited['return']:.2f}"
     )
     return Table(_TERMS, rows, title, list(notes))
