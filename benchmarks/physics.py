@@ -106,7 +106,8 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     recording = Recording(seed, env.profile, start, [Snapshot(_world(env))])
     for decision in decisions(env, policy, seed):
         recording.actions.append(decision.action)
-        recording.targets.append(env.drive.targets)
+        front, rear = env.drive.targets
+        recording.targets.append((front, rear))
         recording.snapshots.append(Snapshot(_world(env)))
         recording.contacts.append(contacts(_world(env)))
         recording.transitions.append(decision.transition)

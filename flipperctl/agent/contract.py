@@ -16,12 +16,12 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import (
     Distributional,
     Noise,
-    build_network,
+    build_policy,
     describe_fault,
     seeded,
 )
 from flipperctl.agent.replay import require, row_bytes
-from flipperctl.api import ACTIONS, Network, ObservationLayout
+from flipperctl.api import Network, ObservationLayout
 from flipperctl.errors import ConfigError
 from flipperctl.plugging.guard import naming
 from flipperctl.plugging.randomness import global_states, moved_since
@@ -30,7 +30,6 @@ from flipperctl.plugging.randomness import global_states, moved_since
 def check_demand(
     network: Network,
     layout: ObservationLayout,
-    n_actions: int,
     *,
     rows: int,
     drawn: int,
@@ -46,7 +45,7 @@ def check_demand(
     label and privileged state. ``risk``: whether a risk is learnt.
     """
     with torch.random.fork_rng(devices=[]):
-        build_network(network, layout, n_actions)
+        build_policy(network, layout)
     inputs = input_size(network, layout)
     size = row_bytes(inputs, labels, privileged, risk=risk)
     require(
@@ -81,7 +80,7 @@ def observations(network: Network, layout: ObservationLayout, rows: int) -> torc
 def check_contract(network: Network, layout: ObservationLayout) -> None:
     """Build a network and check it."""
     with torch.random.fork_rng(devices=[]):
-        module = build_network(network, layout, len(ACTIONS))
+        module = build_policy(network, layout)
     # One observation and three others, of the magnitude of real ones.
     rows = observations(network, layout, 4)
     first, others = rows[:1], [rows[at : at + 1] for at in range(1, len(rows))]

@@ -18,7 +18,6 @@ from torch.nn import functional
 
 from flipperctl.agent.losses import Adam, flatten_parameters
 from flipperctl.agent.replay import Batch
-from flipperctl.api import ACTIONS
 from flipperctl.errors import NonFiniteError
 
 FEATURES: Final = 32
@@ -30,23 +29,24 @@ FORWARD: Final = 0.2
 class PredictingNetworks(torch.nn.Module):
     """Features of an observation, the inverse and the forward model."""
 
-    def __init__(self, inputs: int) -> None:
-        """``inputs``: length of an input row."""
+    def __init__(self, inputs: int, actions: int) -> None:
+        """``inputs``: length of an input row; ``actions``: number of actions."""
         super().__init__()
+        self.actions = actions
 
         def layers(size: int, out: int) -> torch.nn.Sequential:
             hidden = torch.nn.Linear(size, _WIDTH), torch.nn.ReLU()
             return torch.nn.Sequential(*hidden, torch.nn.Linear(_WIDTH, out))
 
         self.features = layers(inputs, FEATURES)
-        self.inverse = layers(2 * FEATURES, len(ACTIONS))
-        self.ahead = layers(FEATURES + len(ACTIONS), FEATURES)
+        self.inverse = layers(2 * FEATURES, actions)
+        self.ahead = layers(FEATURES + actions, FEATURES)
 
     def forward(self, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the log-odds of actions, (B, 9), and half the squared errors ahead, (B,)."""
         before, after = self.features(batch.observation), self.features(batch.next_observation)
         odds = self.inverse(torch.cat([before, after], dim=1))
-        action = functional.one_hot(batch.action, len(ACTIONS)).to(before.dtype)
+        action = functional.one_hot(batch.action, self.actions).to(before.dtype)
         # The features learn from the inverse model alone: both together could become constant.
         predicted = self.ahead(torch.cat([before.detach(), action], dim=1))
         return odds, 0.5 * (predicted - after.detach()).square().sum(dim=1)
@@ -55,12 +55,12 @@ class PredictingNetworks(torch.nn.Module):
 class Curiosity:
     """The predicting networks of a training with their own optimiser."""
 
-    def __init__(self, inputs: int, *, seed: int, device: torch.device) -> None:
+    def __init__(self, inputs: int, actions: int, *, seed: int, device: torch.device) -> None:
         """``inputs``: length of an input row; ``seed``: of the first weights."""
         # Weights follow from the seed; torch's global generator is restored afterwards.
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            self.network = PredictingNetworks(inputs).to(device)
+            self.network = PredictingNetworks(inputs, actions).to(device)
         self._parameters = list(self.network.parameters())
         self.optimiser = Adam(flatten_parameters(list(self.network.parameters())))
 

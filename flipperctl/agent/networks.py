@@ -20,8 +20,8 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import double_q_target, double_quantile_target, huber, quantile_huber
 from flipperctl.agent.plain import Weights, best
 from flipperctl.agent.replay import Batch
-from flipperctl.api import ACTIONS, MAX_HISTORY, Network, ObservationLayout
-from flipperctl.core.targets import JOINTS, ActionKind
+from flipperctl.api import MAX_HISTORY, Network, ObservationLayout
+from flipperctl.core.targets import ActionKind
 from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError
 from flipperctl.plugging.guard import definition, naming, plugin_label, refusal, short_repr
 
@@ -128,24 +128,66 @@ def _separate_memory(network: Network, module: torch.nn.Module) -> None:
             raise refusal(network, "build", text, ConfigError)
 
 
-def outputs(kind: ActionKind) -> int:
+def outputs(kind: ActionKind, joints: int = 2) -> int:
     """Return the number of outputs of a policy's network: Q-values of actions, or rates."""
-    return len(ACTIONS) if kind == "turns" else len(JOINTS)
+    return 3**joints if kind == "turns" else joints
 
 
 def build_policy(
     network: Network, layout: ObservationLayout, kind: ActionKind = "turns"
 ) -> torch.nn.Module:
-    """Build a policy's network, from (B, frames · n) to Q-values (B, 9) or rates (B, 2).
+    """Build a policy's network, from (B, frames · n) to Q-values (B, 3^J) or rates (B, J).
 
-    The hyperbolic tangent of what the plugin's network returns makes rates from -1 to 1 of it.
+    The hyperbolic tangent of what the plugin's network returns makes rates from -1 to 1 of it. The
+    Q-values of pairs are what it returns; those of more joints are made of three numbers of each.
     """
-    module = build_network(network, layout, outputs(kind))
+    joints = len(layout.joints)
+    if kind == "turns" and joints == 2:
+        return build_network(network, layout, outputs(kind))
+    built = build_network(network, layout, joints if kind == "rates" else 3 * joints)
+    module: torch.nn.Module = torch.nn.Sequential(built, torch.nn.Tanh())
     if kind == "turns":
-        return module
-    squashed = torch.nn.Sequential(module, torch.nn.Tanh())
-    record_plugin(squashed, network)
-    return squashed
+        distributional = isinstance(built, Distributional)
+        module = (QuantileBranches if distributional else Branches)(built, joints)
+    record_plugin(module, network)
+    return module
+
+
+class Branches(torch.nn.Module):
+    """Q-values of all actions by a branch of three values for each joint, as their mean.
+
+    With dueling heads, these have one V in common and an advantage for each turn of each joint:
+    Q(s, a) = V + mean over joints of A_j(a_j) - mean A_j (Tavakoli et al. 2018, "Action branching
+    architectures", Eq. 1). The best action has the best turn of each joint, and its value is the
+    mean of the branches' values, as in their target (Eq. 6). All joints learn from one error, that
+    of the mean (Seyde et al. 2023, "Solving continuous control via Q-learning").
+    """
+
+    def __init__(self, branches: torch.nn.Module, joints: int) -> None:
+        """``branches`` maps (B, …) to (B, 3 J), joint by joint."""
+        super().__init__()
+        self.branches, self.joints = branches, joints
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Map (B, …) to Q-values (B, 3^J) in the order of ``actions_of``."""
+        return self._joined(self.branches(observation))
+
+    def _joined(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the means of all combinations of the branches' values, (B, 3 J, …)."""
+        total = values[:, :3]
+        for joint in range(1, self.joints):
+            branch = values[:, 3 * joint : 3 * joint + 3]
+            total = (total.unsqueeze(2) + branch.unsqueeze(1)).flatten(1, 2)
+        return total / self.joints
+
+
+class QuantileBranches(Branches):
+    """The same of a network with quantiles, whose means are combined as well."""
+
+    def quantiles(self, observation: torch.Tensor) -> torch.Tensor:
+        """Return the quantiles of each action's return, (B, 3^J, K)."""
+        branches: Any = self.branches
+        return self._joined(branches.quantiles(observation))
 
 
 def record_plugin(module: torch.nn.Module, network: Network) -> None:
@@ -257,8 +299,9 @@ def q_values(
     observation: NDArray[np.float32],
     device: torch.device = _CPU,
     kind: ActionKind = "turns",
+    joints: int = 2,
 ) -> list[float]:
-    """Return the Q-values of one observation, (9,), or its rates, (2,), by the ``kind``.
+    """Return the Q-values of one observation, (3^J,), or its rates, (J,), by the ``kind``.
 
     ``module`` is on ``device``. ``observation``: input row of the network, (frames · n,) in
     SI units.
@@ -267,7 +310,7 @@ def q_values(
         output = module(torch.from_numpy(observation).to(device).unsqueeze(0))
     (values,) = output.tolist()
     total = float(sum(values))
-    if len(values) != (needed := outputs(kind)):
+    if len(values) != (needed := outputs(kind, joints)):
         text = f"returned {len(values)} numbers for an observation; {needed} are needed"
         raise PluginFailedError(describe_fault(module, "forward", text))
     if not math.isfinite(total):
@@ -315,8 +358,11 @@ def load_arrays(module: torch.nn.Module, weights: Weights) -> None:
 class TorchNetwork:
     """The outputs of a torch module, see ``agent.plain.Outputs``."""
 
-    def __init__(self, module: torch.nn.Module, kind: ActionKind = "turns") -> None:
-        self._module, self._kind, self._noise = module, kind, Noise(module)
+    def __init__(
+        self, module: torch.nn.Module, kind: ActionKind = "turns", joints: int = 2
+    ) -> None:
+        self._module, self._kind, self._joints = module, kind, joints
+        self._noise = Noise(module)
         self._device = next(module.parameters(), torch.empty(0)).device
         self.draw_noise = self._noise.draw
 
@@ -330,7 +376,7 @@ class TorchNetwork:
 
     def outputs(self, row: NDArray[np.float32]) -> list[float]:
         """Return the outputs (A,) of an input row, (frames · n,)."""
-        return q_values(self._module, row, self._device, self._kind)
+        return q_values(self._module, row, self._device, self._kind, self._joints)
 
 
 @contextmanager

@@ -46,7 +46,7 @@ class Outputs(Protocol):
         """Draw new noise; a network without noise leaves ``rng`` alone."""
 
     def outputs(self, row: NDArray[np.float32], /) -> list[float]:
-        """Return the Q-values (9,) or rates (2,) of an input row, (frames · n,) in SI units."""
+        """Return the Q-values (3^J,) or rates (J,) of an input row, (frames · n,) in SI units."""
 
 
 def best(values: Sequence[float]) -> int:
@@ -175,9 +175,10 @@ def reshape(x: NDArray[Any], *shape: int) -> Any:
     return x.reshape(shape)
 
 
-def flatten(x: NDArray[Any], start_dim: int = 0) -> Any:
-    """Return x with all axes from ``start_dim`` on as one."""
-    return x.reshape(*x.shape[:start_dim], -1)
+def flatten(x: NDArray[Any], start_dim: int = 0, end_dim: int = -1) -> Any:
+    """Return x with the axes from ``start_dim`` to ``end_dim`` as one."""
+    after = x.shape[end_dim:][1:]
+    return x.reshape(*x.shape[:start_dim], -1, *after)
 
 
 def unflatten(x: NDArray[Any], dim: int, sizes: Sequence[int]) -> Any:

@@ -85,7 +85,6 @@ def _columns(
 
 
 _LIMITS: Final[dict[str, tuple[float, float]]] = {
-    "action": (0.0, len(ACTIONS) - 1),
     "discount": (0.0, 1.0),
     "label": (0.0, 1.0),
     "failing": (UNKNOWN, 1.0),
@@ -112,7 +111,7 @@ class Batch:
     observation: torch.Tensor
     """Input rows of the network, (B, frames · n) float32 in SI units."""
     action: torch.Tensor
-    """Indices into ``ACTIONS``, (B,) int64."""
+    """Indices of actions, (B,) int64."""
     reward: torch.Tensor
     """Sums of up to n discounted rewards, (B,) float32 [-]."""
     next_observation: torch.Tensor
@@ -120,7 +119,7 @@ class Batch:
     discount: torch.Tensor
     """Factors of the next value: γⁿ, or 0 without bootstrapping, (B,) float32 [-]."""
     label: torch.Tensor | None = None
-    """The teacher's distribution over actions, (B, 9) float32; zeros without a label."""
+    """The teacher's distribution over actions, (B, A) float32; zeros without a label."""
     privileged: torch.Tensor | None = None
     """Privileged states at ``observation``, (B, P) float32, if the training has them."""
     next_privileged: torch.Tensor | None = None
@@ -160,6 +159,7 @@ class Replay:
         gamma: float,
         labels: int = 0,
         *,
+        actions: int = len(ACTIONS),
         privileged: int = 0,
         risk_horizon: int = 0,
         newest: int = 0,
@@ -168,14 +168,15 @@ class Replay:
     ) -> None:
         """Allocate the arrays; ``size`` is the length of an input row, ``labels`` of a label.
 
-        ``privileged``: length of the privileged states, 0 without them. ``risk_horizon``: number of
-        decisions before a failure that ``failing`` marks, 0 without it; ``newest``: length of the
-        newest observation in a row, n, which it needs. ``cut_at_random``: whether a sum of
-        rewards ends before the next random action. ``prioritised``: whether transitions have
-        priorities.
+        ``actions``: number of actions. ``privileged``: length of the privileged states, 0 without
+        them. ``risk_horizon``: number of decisions before a failure that ``failing`` marks, 0
+        without it; ``newest``: length of the newest observation in a row, n, which it needs.
+        ``cut_at_random``: whether a sum of rewards ends before the next random action.
+        ``prioritised``: whether transitions have priorities.
         """
         self.capacity, risk = capacity, risk_horizon > 0
         self.prioritised = prioritised
+        self._limits = {**_LIMITS, "action": (0.0, actions - 1)}
         # Linux grants arrays of zeros without backing them; only absurd sizes fail here.
         try:
             self.arrays: dict[str, NDArray[Any]] = {
@@ -401,7 +402,7 @@ class Replay:
                     f"{name} is {values.dtype} {values.shape}; {wanted.dtype} {wanted.shape} is "
                     "needed"
                 )
-            least, most = _LIMITS.get(name, (-math.inf, math.inf))
+            least, most = self._limits.get(name, (-math.inf, math.inf))
             if not (np.isfinite(values).all() and ((values >= least) & (values <= most)).all()):
                 raise ValueError(f"{name} is not finite, or lies outside of {least:g} to {most:g}")
             wanted[:] = values

@@ -22,6 +22,7 @@ from flipperctl.api.profile import Profile
 from flipperctl.api.robot import Robot
 from flipperctl.api.values import Outcome, RobotState
 from flipperctl.core import FloatArray
+from flipperctl.core.targets import Flippers
 
 SAMPLE_PERIOD = 0.01
 """Time between two samples of the pose, from which the 100 Hz θ̂_R is measured [s]."""
@@ -111,16 +112,18 @@ class World(Protocol):
         """Pitch of the chassis, nose up positive [rad]."""
 
     # Driving.
-    def command(self, front: float, rear: float) -> None:
+    def command(self, front: float, rear: float, /) -> None:
         """Set the target angles of the flippers in frame R [rad].
 
-        End stops hold the flippers within ``robot.angle_limit``, whatever is commanded.
+        A world that moves four flippers alone takes four angles, in the order of
+        ``RobotState.flippers``. End stops hold the flippers within ``robot.angle_limit``, whatever
+        is commanded.
         """
 
     def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
         """Simulate up to ``samples`` sample periods; return the pose at the end of each.
 
-        The poses are (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run
+        The poses are (S, 3 + J): x [m], z [m], pitch and the angle of each joint [rad]. The run
         stops after the sample at which the chassis reaches a limit or an ``EndingWorld``
         terminates.
         """
@@ -246,8 +249,8 @@ class Engine(Plugin, ABC):
     kind: ClassVar[str] = "sim"
     without_effect: ClassVar[frozenset[str]] = frozenset()
     """Names of the settings that change the speed of a simulation but not its results."""
-    added: ClassVar[frozenset[str]] = frozenset()
-    """Names of settings that a later version added; hashes of conditions lack their defaults."""
+    flippers: ClassVar[tuple[Flippers, ...]] = ("pairs",)
+    """Values of ``robot.flippers`` that its worlds can move."""
 
     @abstractmethod
     def place(

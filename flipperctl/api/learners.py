@@ -32,7 +32,7 @@ class Step:
 
     observation: NDArray[np.float32]
     action: Action
-    """Index into ``ACTIONS``, or the rates of both pairs, by the kind of actions."""
+    """Index of the action, or the rates of all joints, by the kind of actions."""
     reward: float
     next_observation: NDArray[np.float32]
     ending: Mapping[str, Any] | None
@@ -74,7 +74,7 @@ class Training(Protocol):
     def policy_network(self) -> torch.nn.Module:
         """Return the policy's network with random first weights, which ``seed`` determines.
 
-        It maps observations (B, frames · n) to Q-values (B, 9) or rates (B, 2) from -1 to 1.
+        It maps observations (B, frames · n) to Q-values (B, 3^J) or rates (B, J) from -1 to 1.
         """
 
     def environment(self) -> Any:

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from flipperctl.api.values import RobotGeometry
 from flipperctl.core import FloatArray
+from flipperctl.core.targets import JOINTS, Flippers
 
 
 class Robot(RobotGeometry):
@@ -18,7 +19,13 @@ class Robot(RobotGeometry):
 
     # What ``randomise`` may sample, and how.
     not_sampled: ClassVar[frozenset[str]] = frozenset(
-        {"angle_limit", "angle_step", "control_period"}
+        {"angle_limit", "angle_step", "control_period", "flippers"}
+    )
+    added: ClassVar[frozenset[str]] = frozenset({"flippers"})
+    flippers: Flippers = Field(
+        "pairs",
+        description="pairs: the left and the right flippers turn together, as in the paper; four: "
+        "each turns alone, in 3-D [-]",
     )
     factors: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "size": ("chassis_length", "flipper_length", "track_radius")
@@ -81,6 +88,11 @@ class Robot(RobotGeometry):
         description="time between two decisions; null is angle_step / flipper_speed, in which a "
         "flipper turns by one step [s]",
     )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J joints of the flippers, those at the front first, left before right."""
+        return JOINTS[self.flippers]
 
     @property
     def carried_mass(self) -> float:

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,9 @@ LAST_PITCHES = 8
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotStates:
     """The robot at M instants; each array has the meaning of the ``RobotState`` field's name."""
+
+    flippers: ClassVar[tuple[float, ...]] = ()
+    """Of pairs, as predictions have them."""
 
     position: FloatArray
     """World coordinates (x, z) of the chassis centre, (M, 2) [m]."""
@@ -107,16 +111,16 @@ class Transitions:
     and then all rows have equally few.
     """
     action: NDArray[np.intp]
-    """Turns (front, rear) of the flipper pairs, each in {-1, 0, 1}, (M, 2)."""
+    """Turn of each joint, in {-1, 0, 1}, (M, J)."""
     previous_action: NDArray[np.intp]
-    """Actions of the previous decisions; 0 at the first decision of an episode, (M, 2)."""
+    """Actions of the previous decisions; 0 at the first decision of an episode, (M, J)."""
     path: FloatArray
     """Poses of the chassis from ``before`` to ``after``, (M, S + 1, 3): x [m], z [m], pitch [rad].
 
     M × 0 × 3 if the poses in between are not known.
     """
     flippers: FloatArray
-    """Front and rear flipper angle in frame R at each pose of ``path``, (M, S + 1, 2) [rad]."""
+    """Angle of each joint in frame R at each pose of ``path``, (M, S + 1, J) [rad]."""
     profile: Profile
     robot: RobotGeometry
     outcome: Sequence[Outcome | None]
@@ -125,12 +129,12 @@ class Transitions:
     """Time between two poses of ``path`` [s]."""
 
     def __post_init__(self) -> None:
-        count, poses = len(self.after), self.path.shape[1:2]
+        count, poses, joints = len(self.after), self.path.shape[1:2], self.action.shape[1:]
         _require_shape("before.pitch", self.before.pitch, (count,))
         _require_shape("pitches", self.pitches, (count, self.pitches.shape[-1]))
-        shapes = {"path": (*poses, 3), "flippers": (*poses, 2)}
+        shapes = {"path": (*poses, 3), "flippers": (*poses, *joints)}
         for name in _ARRAYS:
-            _require_shape(name, getattr(self, name), (count, *shapes.get(name, (2,))))
+            _require_shape(name, getattr(self, name), (count, *shapes.get(name, joints)))
         if len(self.outcome) != count:
             raise ValueError(f"outcome has {len(self.outcome)} entries; {count} are allowed")
 
@@ -205,12 +209,12 @@ class Transitions:
                 before=before,
                 after=after,
                 pitches=self.pitches[i],
-                action=(actions[i][0], actions[i][1]),
+                action=tuple(actions[i]),
                 profile=self.profile,
                 robot=self.robot,
                 outcome=self.outcome[i],
                 path=self.path[i],
-                previous_action=(previous[i][0], previous[i][1]),
+                previous_action=tuple(previous[i]),
                 flippers=self.flippers[i],
                 sample_period=self.sample_period,
             )

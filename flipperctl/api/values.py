@@ -22,6 +22,7 @@ from pydantic_core import core_schema
 
 from flipperctl.api.profile import Profile
 from flipperctl.core import FloatArray, observation
+from flipperctl.core.targets import JOINTS, Flippers
 
 MAX_HISTORY = 32
 """Largest number of observations in ``Perception.recent`` [-]."""
@@ -69,6 +70,9 @@ class Settings(BaseModel):
 
     factors: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Factors that ``randomise`` can sample by name, and the settings that each multiplies."""
+
+    added: ClassVar[frozenset[str]] = frozenset()
+    """Names of settings that a later version added; hashes of conditions lack their defaults."""
 
     null_values: ClassVar[Mapping[str, float]] = {}
     """Numbers as which settings count where they are null, such as infinity for no limit."""
@@ -173,9 +177,10 @@ class RobotState:
     pitch: float
     """Pitch of the chassis, nose up positive [rad]."""
     front: float
-    """Angle of the front flippers in frame R, above the chassis positive [rad]."""
+    """Angle of the front flippers in frame R, above the chassis positive; their mean if each turns
+    alone [rad]."""
     rear: float
-    """Angle of the rear flippers in frame R, above the chassis positive [rad]."""
+    """Angle of the rear flippers in frame R, above the chassis positive; their mean [rad]."""
     # Motion.
     velocity: FloatArray
     """Velocity (x, z) of the chassis centre in world, (2,) [m/s]."""
@@ -197,14 +202,18 @@ class RobotState:
     roll, pitch and yaw."""
     belts: FloatArray | None = None
     """Speeds of the left and the right belts, (2,) [m/s]; None: both are ``robot.track_speed``."""
+    flippers: tuple[float, ...] = ()
+    """Angles of four flippers that turn alone, front left, front right, rear left, rear right;
+    empty: of pairs [rad]."""
 
 
 class ObservationLayout(Settings):
     """Layout of the numbers of an observation (paper Eqs. 1 and 2).
 
-    They are N mean heights of the ground in frame L [m], then the N ``highest`` ones, then front
-    and rear flipper angle and pitch [rad]. With ``sides``, the same heights below the left and
-    below the right tracks follow the first ones, and the roll stands before the angles.
+    They are N mean heights of the ground in frame L [m], then the N ``highest`` ones, then the
+    angles of the flippers, front before rear and left before right, and the pitch [rad]. With
+    ``sides``, the same heights below the left and below the right tracks follow the first ones, and
+    the roll stands before the angles.
     """
 
     bins: int = Field(15, ge=3, le=101, description="N, terrain heights in an observation [-]")
@@ -224,6 +233,16 @@ class ObservationLayout(Settings):
         "stand in the observation, too; in the side plane both sides are equal [-]",
     )
 
+    flippers: Flippers = Field(
+        "pairs",
+        description="as robot.flippers, which sets it; the flippers whose angles follow [-]",
+    )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the flippers whose angles stand in an observation."""
+        return JOINTS[self.flippers]
+
     @property
     def heights(self) -> int:
         """Number of heights in an observation, N or 2 N, three times as many with sides [-]."""
@@ -231,15 +250,16 @@ class ObservationLayout(Settings):
 
     @property
     def size(self) -> int:
-        """Length of an observation: ``heights`` + 3, and 1 more with sides [-]."""
-        return self.heights + len(observation.angles(self.sides))
+        """Length of an observation: ``heights`` + joints + 1, and 1 more with sides [-]."""
+        return self.heights + len(observation.angles(self.sides, len(self.joints)))
 
     @property
     def words(self) -> str:
         """The layout in words that name its settings, for errors."""
         kind = "true" if self.highest else "false"
         text = f"bins={self.bins}, bin_width={self.bin_width:g} m, highest={kind}"
-        return f"{text}, sides=true" if self.sides else text
+        text += ", sides=true" if self.sides else ""
+        return text if self.flippers == "pairs" else f"{text}, flippers={self.flippers}"
 
     @property
     def reach(self) -> float:
@@ -249,7 +269,7 @@ class ObservationLayout(Settings):
     @property
     def scale(self) -> FloatArray:
         """Typical magnitude of each number, by which networks divide, (n,) in SI units."""
-        return observation.scale(self.heights, self.sides)
+        return observation.scale(self.heights, self.size - self.heights)
 
 
 class Command(NamedTuple):
@@ -284,9 +304,9 @@ class Perception:
     pitch: float
     """Sensed pitch of the chassis, nose up positive [rad]."""
     front: float
-    """Sensed angle of the front flippers in frame R [rad]."""
+    """Sensed angle of the front flippers in frame R, or their mean [rad]."""
     rear: float
-    """Sensed angle of the rear flippers in frame R [rad]."""
+    """Sensed angle of the rear flippers in frame R, or their mean [rad]."""
     # What a policy knows without sensing.
     robot: RobotGeometry
     layout: ObservationLayout
@@ -309,6 +329,8 @@ class Perception:
     it, infinite where nothing was seen [m]; None: it is not judged."""
     roll: float = 0.0
     """Sensed roll of the chassis, left side up positive; 0 where it is not sensed [rad]."""
+    flippers: tuple[float, ...] = ()
+    """Sensed angles of four flippers, as in ``RobotState``; empty: of pairs [rad]."""
 
 
 @dataclass(frozen=True)
@@ -319,8 +341,9 @@ class Transition:
     after: RobotState
     pitches: FloatArray
     """Pitch at each decision of the episode so far, from the start to ``after``, (T,) [rad]."""
-    action: tuple[int, int]
-    """Turns (front, rear) of the flipper pairs, each in {-1, 0, 1}."""
+    action: tuple[int, ...]
+    """Turn of each joint, (J,), each in {-1, 0, 1}: of pairs front and rear, of four flippers in
+    the order of ``RobotState.flippers``."""
     profile: Profile
     robot: RobotGeometry
     outcome: Outcome | None = field(default=None)
@@ -328,10 +351,10 @@ class Transition:
     # Optional, with defaults for a first decision and for bare predictions.
     path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     """Poses of the chassis from ``before`` to ``after``, (S + 1, 3): x [m], z [m], pitch [rad]."""
-    previous_action: tuple[int, int] = (0, 0)
-    """Action of the previous decision; (0, 0) at the first decision of an episode."""
+    previous_action: tuple[int, ...] = (0, 0)
+    """Action of the previous decision; zeros at the first decision of an episode."""
     flippers: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    """Front and rear flipper angle in frame R at each pose of ``path``, (S + 1, 2) [rad]."""
+    """Angle of each joint in frame R at each pose of ``path``, (S + 1, J) [rad]."""
     sample_period: float = 0.01
     """Time between two poses of ``path`` [s]."""
     # What measures may use besides.

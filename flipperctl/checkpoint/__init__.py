@@ -23,7 +23,7 @@ from flipperctl.checkpoint import former, hub
 from flipperctl.checkpoint.document import Document, PluginReference, State, serialize
 from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.models import with_stand_ins
-from flipperctl.core.targets import ACTIONS, JOINTS
+from flipperctl.core.targets import actions_of
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.plugging import plugins
 from flipperctl.sim.versions import engine_versions
@@ -175,7 +175,8 @@ def describe(
         },
         plugins=plugin_references(config),
         actions=documents.Actions(
-            joints=JOINTS, steps=ACTIONS if config.actions == "turns" else ()
+            joints=config.robot.joints,
+            steps=actions_of(len(config.robot.joints)) if config.actions == "turns" else (),
         ),
         decision=decision,
         validation=None if validation is None else documents.Validation(**validation),

@@ -30,7 +30,7 @@ from pydantic import (
 
 from flipperctl.checkpoint import former
 from flipperctl.core.reading import read_whole
-from flipperctl.core.targets import ACTIONS, JOINTS
+from flipperctl.core.targets import JOINTS, actions_of
 from flipperctl.errors import CheckpointError, other_format
 from flipperctl.text.messages import explain
 
@@ -96,11 +96,14 @@ class Actions(Record):
     """(A, J) in multiples of the robot's ``angle_step``, in the order of the Q-values."""
 
     @model_validator(mode="after")
-    def _are_those_of_pairs(self) -> Self:
-        if self.joints != JOINTS or self.steps not in (ACTIONS, ()):
+    def _are_known(self) -> Self:
+        if self.joints not in JOINTS.values() or (
+            self.steps and self.steps != actions_of(len(self.joints))
+        ):
+            known = " or ".join(f"{', '.join(j)} in {3 ** len(j)}" for j in JOINTS.values())
             raise ValueError(
                 f"the actions turn {', '.join(self.joints) or 'nothing'} in {len(self.steps)} ways;"
-                f" this version turns {', '.join(JOINTS)} in {len(ACTIONS)}"
+                f" this version turns {known}"
             )
         return self
 

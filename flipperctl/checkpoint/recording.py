@@ -43,6 +43,7 @@ from flipperctl.checkpoint.document import (
 )
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.config.policy_file import drive_files
+from flipperctl.core.targets import Flippers
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.sim.versions import engine_versions
 from flipperctl.text.files import OutputKind, write_bytes
@@ -65,6 +66,7 @@ class PartialPerception(Partial):
     bin_width: Annotated[float, Field(gt=0, le=1)]
     highest: bool
     sides: bool = False
+    flippers: Flippers = "pairs"
 
     @property
     def layout(self) -> ObservationLayout:
@@ -76,7 +78,7 @@ class PartialEnvironment(Partial):
     """The configuration of an environment."""
 
     perception: PartialPerception
-    robot: dict[Label, float | None]
+    robot: dict[Label, float | str | None]
     rewards: dict[Label, PartialReward]
 
 

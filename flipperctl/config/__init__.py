@@ -14,6 +14,7 @@ from flipperctl.config.models import (
     EnvConfig,
     EvalConfig,
     TrainConfig,
+    default_engine,
 )
 from flipperctl.config.resolver import parse, to_dict
 from flipperctl.config.sampled import Randomise
@@ -40,6 +41,7 @@ __all__ = [
     "Teacher",
     "Train",
     "TrainConfig",
+    "default_engine",
     "identity",
     "parse",
     "to_dict",

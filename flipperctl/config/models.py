@@ -44,7 +44,7 @@ from flipperctl.config.sections import (
     Train,
 )
 from flipperctl.config.teacher import Teacher
-from flipperctl.core.targets import ActionKind
+from flipperctl.core.targets import ActionKind, Flippers
 from flipperctl.errors import ConfigError, PluginError
 from flipperctl.text.messages import close_match, missing_plugin
 
@@ -117,6 +117,13 @@ _DEFAULTS = {"sim": DEFAULT_ENGINE, "perception": DEFAULT_ENGINE, "agent": DEFAU
 PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 
 
+def default_engine(flippers: Flippers) -> str:
+    """Return the name of the default engine, or of the first other one that moves ``flippers``."""
+    engines: dict[str, Any] = {name: cls for (kind, name), cls in registry.items() if kind == "sim"}
+    names = [DEFAULT_ENGINE, *sorted(engines)]
+    return next(name for name in names if flippers in engines[name].flippers)
+
+
 class EnvConfig(Settings):
     """The configuration of an environment."""
 
@@ -135,6 +142,20 @@ class EnvConfig(Settings):
     )
     episode: Episode = Episode()
     randomise: Randomise = Randomise()
+
+    @model_validator(mode="after")
+    def _follow_flippers(self) -> EnvConfig:
+        """Let the observation have the robot's flippers, which the engine must be able to move."""
+        flippers, movable = self.robot.flippers, type(self.sim).flippers
+        if flippers not in movable:
+            raise ConfigError(
+                f"robot.flippers: sim={self.sim.plugin_name} moves {' and '.join(movable)} alone, "
+                f"not {flippers}; sim=mujoco moves each flipper"
+            )
+        if self.perception.flippers != flippers:
+            sensor = self.perception.model_copy(update={"flippers": flippers})
+            self.__dict__["perception"] = sensor  # a frozen model sets no attribute
+        return self
 
     @model_validator(mode="after")
     def _check_decisions(self) -> EnvConfig:
@@ -217,8 +238,8 @@ class TrainConfig(EnvConfig):
 
     actions: ActionKind = Field(
         "turns",
-        description="turns: one of nine turns by an angle step in each decision; rates: any turn "
-        "up to that, which needs a learner of continuous actions [-]",
+        description="turns: each joint turns by an angle step or holds in a decision; rates: any "
+        "turn up to that, which needs a learner of continuous actions [-]",
     )
     network: AnyNetwork = Field(description="the network of the policy [-]")
     agent: AnyLearner = Field(
@@ -262,6 +283,11 @@ class TrainConfig(EnvConfig):
             yield f"teacher: {name} learns from rewards alone; set teacher=none"
         if self.train.record and (agent.own_loop or self.actions == "rates"):
             yield f"train.record: it does not go with {name} actions={self.actions}; leave it out"
+        if self.robot.flippers != "pairs" and (self.teacher.teaches or self.train.record):
+            yield (
+                "robot.flippers: teachers and recorded episodes have pairs alone; set teacher=none "
+                "and train.record=false"
+            )
         if self.train.mode == "exact" and self.collector.name != "local":
             yield (
                 "train.mode: exact plays episodes in the learner's process; "

@@ -2,19 +2,20 @@
 
 First come the mean heights of the ground in N bins of frame L [m], from rear to front. Unless the
 layout is the paper's, the heights of each bin's highest point follow. The angles of the front and
-the rear flippers in frame R and the pitch are the last numbers [rad]. With sides, the heights below
-the left and then below the right tracks follow those of the whole width, and the roll stands before
-the angles: first and last numbers are the same in every layout. A mean hides what is thinner than
-its bin: it shows a seventh of a plate 2 cm thick and 0.25 m high. Frame L is level with its
-origin at the chassis centre, frame R is fixed to the chassis. Unseen ground is filled with points
-on straight lines between the seen points. ``sim.planar.rays`` compiles ``add_heights`` and the
-filling; they call no other function, so that they can be compiled as they are.
+the rear flippers in frame R and the pitch are the last numbers [rad]; of four flippers, those at
+the front come first, left before right. With sides, the heights below the left and then below the
+right tracks follow those of the whole width, and the roll stands before the angles.
+
+A mean hides what is thinner than its bin: it shows a seventh of a plate 2 cm thick and 0.25 m high.
+Frame L is level with its origin at the chassis centre, frame R is fixed to the chassis. Unseen
+ground is filled with points on straight lines between the seen points. ``sim.planar.rays`` compiles
+``add_heights`` and the filling; they call no other function, so that they can be compiled.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ from flipperctl.core import FloatArray
 
 ANGLES = ("theta_f1", "theta_f2", "theta_R")
 """Names of the last angles: front flippers, rear flippers, pitch."""
+FOUR = ("theta_f1_left", "theta_f1_right", "theta_f2_left", "theta_f2_right", "theta_R")
+"""Names of the last angles if each flipper turns alone."""
 ROLL = "roll"
 """Name of the angle before them in a layout with sides."""
 SIDES = {"left_": 1.0, "right_": -1.0}
@@ -39,9 +42,10 @@ def heights(bins: int, highest: bool, sides: bool = False) -> int:
     return bins * (2 if highest else 1) * (1 + sides * len(SIDES))
 
 
-def angles(sides: bool = False) -> tuple[str, ...]:
-    """Return the names of the angles after the heights."""
-    return (ROLL, *ANGLES) if sides else ANGLES
+def angles(sides: bool = False, joints: int = 2) -> tuple[str, ...]:
+    """Return the names of the angles after the heights, of 2 or 4 joints."""
+    names = ANGLES if joints == 2 else FOUR
+    return (ROLL, *names) if sides else names
 
 
 def reach(bins: int, bin_width: float) -> float:
@@ -54,25 +58,23 @@ def edges(bins: int, bin_width: float) -> FloatArray:
     return np.arange(bins + 1, dtype=np.float64) * bin_width - reach(bins, bin_width)
 
 
-def scale(heights: int, sides: bool = False) -> FloatArray:
-    """Return the typical magnitudes of ``heights`` heights and the angles, in SI units."""
-    return np.concatenate([np.full(heights, 0.5), np.full(len(angles(sides)), math.pi / 3)])
+def scale(heights: int, angles: int = 3) -> FloatArray:
+    """Return the typical magnitudes of so many heights and angles, in SI units."""
+    return np.concatenate([np.full(heights, 0.5), np.full(angles, math.pi / 3)])
 
 
 def assemble(
-    heights: FloatArray, *, front: float, rear: float, pitch: float, roll: float | None = None
+    heights: FloatArray, flippers: Sequence[float], *, pitch: float, roll: float | None = None
 ) -> NDArray[np.float32]:
     """Return an observation, (n,) in SI units.
 
-    ``heights``: the result of ``bin_heights``; ``front``, ``rear``: angles of the
-    flippers in frame R, above the chassis positive [rad]; ``pitch``: nose up positive; ``roll``:
-    left side up positive [rad], None in a layout without sides.
+    ``heights``: the result of ``bin_heights``; ``flippers``: angles of the joints in frame R, above
+    the chassis positive, (J,) [rad]; ``pitch``: nose up positive; ``roll``: left side up positive
+    [rad], None in a layout without sides.
     """
-    observation = np.empty(len(heights) + len(angles(roll is not None)), dtype=np.float32)
-    observation[: len(heights)] = heights
-    if roll is not None:
-        observation[-4] = roll
-    observation[-3], observation[-2], observation[-1] = front, rear, pitch
+    numbers = (*flippers, pitch) if roll is None else (roll, *flippers, pitch)
+    observation = np.empty(len(heights) + len(numbers), dtype=np.float32)
+    observation[: len(heights)], observation[len(heights) :] = heights, numbers
     return observation
 
 

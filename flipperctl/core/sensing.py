@@ -45,6 +45,9 @@ class SensedAngles:
     """Pitch of the chassis, nose up positive [rad]."""
     roll: float = 0.0
     """Roll of the chassis, left side up positive; 0 where it is not sensed [rad]."""
+    flippers: tuple[float, ...] = ()
+    """Angles of four flippers, front left, front right, rear left, rear right, of which ``front``
+    and ``rear`` are means; empty: of pairs [rad]."""
 
 
 @dataclass(frozen=True)

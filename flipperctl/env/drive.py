@@ -26,7 +26,16 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.config import Episode
-from flipperctl.core.targets import Action, Rates, TargetRule, action_index, closest, turns
+from flipperctl.core.targets import (
+    Action,
+    Rates,
+    TargetRule,
+    action_index,
+    actions_of,
+    alike,
+    angles_of,
+    closest,
+)
 from flipperctl.env.placed import PlacedWorld, place
 from flipperctl.env.termination import Termination
 from flipperctl.errors import NonFiniteError
@@ -38,18 +47,21 @@ _DRIVEN = 0.9
 """Mean share of the belts' speed from which a decision counts as driven ahead [-]."""
 
 
-Pair = tuple[float, float]
+Targets = tuple[float, ...]
+"""Angle of each joint, (J,) [rad]."""
 
 
-def closest_action(before: Pair, after: Pair, step: float, limit: float) -> tuple[int, Pair]:
-    """Return the action closest to a turn of both pairs, and where it leads from ``before`` [rad].
+def closest_action(
+    before: Targets, after: Targets, step: float, limit: float
+) -> tuple[int, Targets]:
+    """Return the action closest to a turn of the joints, and where it leads from ``before`` [rad].
 
     ``step``: turn of an action, ``limit``: largest target [rad]. The rest of the way stays for the
     next decision.
     """
     moves = [min(1, max(-1, round((a - b) / step))) for b, a in zip(before, after, strict=True)]
     ends = [min(limit, max(-limit, b + m * step)) for b, m in zip(before, moves, strict=True)]
-    return action_index(*moves), (ends[0], ends[1])
+    return action_index(*moves), tuple(ends)
 
 
 class Commanding:
@@ -68,9 +80,9 @@ class Commanding:
         self._call, self._lag, self._limit, self._step = call, lag, limit, step
         self._waiting: deque[Command] = deque()
         self._belts = 1.0
-        self._followed: tuple[float, float] | None = None
+        self._followed: Targets | None = None
 
-    def command(self, world: PlacedWorld, targets: tuple[float, float]) -> tuple[float, float]:
+    def command(self, world: PlacedWorld, targets: Targets) -> Targets:
         """Ask for a command and apply the one that is due; return the new targets [rad]."""
         # The first command of an episode starts from the targets of its start.
         self._followed = self._followed or targets
@@ -86,14 +98,15 @@ class Commanding:
             return targets
         due = self._waiting.popleft()
         limit, belts = self._limit, min(1.0, max(-1.0, due.belts))
-        targets = min(limit, max(-limit, due.front)), min(limit, max(-limit, due.rear))
+        pair = min(limit, max(-limit, due.front)), min(limit, max(-limit, due.rear))
+        targets = alike(pair, len(targets))
         world.command(*targets)
         if belts != self._belts:
             world.run_belts(belts)
             self._belts = belts
         return targets
 
-    def end(self, targets: tuple[float, float]) -> tuple[int, FloatArray]:
+    def end(self, targets: Targets) -> tuple[int, FloatArray]:
         """Return the action that came closest to the last decision's commands, and these (K, 5).
 
         Turns that an action could not express go to the next one, so that the sum of the actions
@@ -130,24 +143,26 @@ class Drive:
         self.state = self.delayed_state = self.world.state()
         """The current state, and the perceived one, which is ``perception.delay`` older."""
         self.poses = np.array([self._pose()])
-        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5): x [m],
-        z [m], pitch, front and rear flipper angle [rad]."""
+        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 3 + J): x [m],
+        z [m], pitch and the angle of each joint [rad]."""
         self.flipper_work: float | None = None
         """Work of the flippers' motors in the last decision [J]; None: not measured."""
         self.roll_variation: float | None = None
         """Sum of the absolute roll changes in the last decision at 100 Hz [rad]; None: in 2-D."""
         self._sums = self.world.sums()
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
-        self._turns = turns(self.robot.angle_step).tolist()
-        self.targets = (start.front, start.rear)
-        """Commanded angles of the front and the rear flippers in frame R [rad]."""
+        joints = len(self.robot.joints)
+        self.moves = actions_of(joints)
+        """Turn of each joint by each action, (3^J, J) [angle steps]."""
+        self.targets = alike((start.front, start.rear), joints)
+        """Commanded angle of each joint in frame R, (J,) [rad]."""
         # Events in samples: the delayed turn, the perception before the end by its delay, the end.
         samples = samples_in(period)
         turn = min(samples, round(self.robot.actuator_delay / SAMPLE_PERIOD))
         perceive = max(0, samples - round(perception.delay / SAMPLE_PERIOD))
         self._events = sorted([(turn, _TURN), (perceive, _PERCEIVE), (samples, _END)])
         self._undelayed = perceive == samples
-        self.action = action_index(0, 0)
+        self.action = action_index(*(0,) * joints)
         """Index of the last action; of rates and of an operator, the one that came closest."""
         self.rates: Rates | None = None
         """Rates of the last action; None of an index and of an operator."""
@@ -168,7 +183,7 @@ class Drive:
         call(self.world)
 
     def report_poses(self, call: Callable[[float, FloatArray], None]) -> None:
-        """Call ``call`` with the current pose and with the poses of later samples, (S, 5).
+        """Call ``call`` with the current pose and with the poses of later samples.
 
         Its first argument is the time of the first pose [s].
         """
@@ -194,13 +209,13 @@ class Drive:
         operator, driven = self._operator, True
         # Of rates, the action that counts is the closest one.
         if isinstance(action, tuple):
-            self.action, self.rates = closest(action), action
-            turned = [rate * self.robot.angle_step for rate in action]
+            self.action, self.rates, steps = closest(action), action, action
         else:
-            self.action, self.rates, turned = action, None, self._turns[action]
+            self.action, self.rates, steps = action, None, self.moves[action]
         # An operator's targets follow from the commands, while the decision runs.
         if operator is None:
-            self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turned)
+            turned = [step * self.robot.angle_step for step in steps]
+            self.targets = self._rule.next_targets(self.targets, angles_of(state), turned)
         outcome = self._run()
         if operator is not None:
             self.action, self.commands = operator.end(self.targets)
@@ -220,7 +235,7 @@ class Drive:
     def _run(self) -> Outcome | None:
         world, termination, operator = self.world, self.termination, self._operator
         done = 0
-        path = np.empty((self._events[-1][0] + 1, 5))
+        path = np.empty((self._events[-1][0] + 1, 3 + len(self.targets)))
         path[0] = self._pose()
         # Advance from event to event; the world stops at the first sample that reaches a limit.
         for sample, event in self._due_events():
@@ -273,7 +288,7 @@ class Drive:
     def _pose(self) -> tuple[float, ...]:
         """Return the pose at the last decision in the order of ``poses``."""
         state = self.state
-        return (*state.position.tolist(), state.pitch, state.front, state.rear)
+        return (*state.position.tolist(), state.pitch, *angles_of(state))
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot for ``load``; it lacks the engine's contact impulses."""

@@ -16,7 +16,6 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from flipperctl.api import (
-    ACTIONS,
     SAMPLE_PERIOD,
     DrawingWorld,
     FloatArray,
@@ -30,7 +29,7 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
 from flipperctl.config.reward_sum import RewardSum
 from flipperctl.core.building import built
-from flipperctl.core.targets import ALLOWED, Action, ActionKind, as_action
+from flipperctl.core.targets import Action, ActionKind, allowed, as_action
 from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, Pitches, measures
@@ -71,7 +70,8 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
 
     Observations are (n,) float32 in SI units in the order of ``layout``. Actions are indices into
     ``flipperctl.api.ACTIONS`` or rates: the turns of the front and the rear pair, each from -1 to 1
-    angle steps. ``step`` takes both; ``actions`` chooses the action space. ``info`` holds
+    angle steps. With ``robot.flippers=four`` they are indices into ``actions_of(4)``, 0 to 80, or
+    four rates. ``step`` takes both; ``actions`` chooses the action space. ``info`` holds
     ``rewards`` (the weighted value of each term) and, at the end, ``outcome`` and ``metrics``. A
     timeout truncates the episode; every other outcome terminates it.
     """
@@ -96,8 +96,8 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
 
         ``terrain``: a name, a mapping with ``name`` and fields, or an instance. ``overrides``:
         sections, nested (``episode={"slack": 2}``) or dotted (``**{"rewards.pitch.lambda_2": 8}``);
-        ``rewards={}`` removes every term. ``actions``: ``"turns"`` for ``Discrete(9)``, ``"rates"``
-        for ``Box(-1, 1, (2,))``. ``renderer`` draws the scenes of engines that draw no
+        ``rewards={}`` removes every term. ``actions``: ``"turns"`` for ``Discrete(3^J)``,
+        ``"rates"`` for ``Box(-1, 1, (J,))``. ``renderer`` draws the scenes of engines that draw no
         pictures themselves; by default it is the installed one. ``seed``: that of the first reset,
         unless it has its own.
 
@@ -133,15 +133,16 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         if actions not in get_args(ActionKind):
             raise ConfigError(f"actions: {actions!r}; turns or rates is allowed")
         self.actions = actions
+        self._joints = len(self.robot.joints)
         self.action_space: gymnasium.Space[Any] = (
-            gymnasium.spaces.Box(-1.0, 1.0, (2,))
+            gymnasium.spaces.Box(-1.0, 1.0, (self._joints,))
             if actions == "rates"
-            else gymnasium.spaces.Discrete(len(ACTIONS))
+            else gymnasium.spaces.Discrete(3**self._joints)
         )
         self.renderer = self._renderer = renderer
         self._generated: Profile | None = None  # before thinning
         self._prepared: Profile  # after it
-        self._last_move: tuple[int, int] | None = None
+        self._last_move: tuple[int, ...] | None = None
         self._outcome: Outcome | None = None
         self._replayed: repeating.Replayed | None = None
         self._first_seed = _checked(seed)
@@ -314,9 +315,9 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
             PluginFailedError: a reward, measure, engine or sensor returned what is not allowed.
             NonFiniteError: the state or a reward is not a finite number.
         """
-        taken: Action | None = as_action(action)
+        taken: Action | None = as_action(action, self._joints)
         if taken is None:
-            raise ValueError(f"there is no action {action!r}; {ALLOWED}")
+            raise ValueError(f"there is no action {action!r}; {allowed(self._joints)}")
         if not self.running or self._replayed is None:
             raise ResetNeeded("no episode is running: call reset before step")
         states = global_states() if self.foreign else None
@@ -324,8 +325,9 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         self._replayed.actions.append(taken)
         before = self.state
         outcome = self.drive.decide(taken)
-        after, move = self.state, ACTIONS[self.drive.action]
-        previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
+        after, move = self.state, self.drive.moves[self.drive.action]
+        previous = self._last_move or (0,) * self._joints
+        self._last_move, self._outcome = move, outcome
         pitches, poses = self._pitches.append(after.pitch), self.drive.poses
         self.transition = built(
             Transition,

@@ -27,6 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.building import built
 from flipperctl.core.observation import assemble, bin_heights
+from flipperctl.core.targets import angles_of, of_pairs
 from flipperctl.env.drive import Drive
 from flipperctl.env.placed import mounted_parts, require_sensed_finite
 
@@ -122,9 +123,7 @@ class Perceiver:
             heights = bin_heights(points, layout.bins, layout.bin_width, highest=highest)
             heights = np.resize(heights, layout.heights)
         roll = angles.roll if layout.sides else None
-        observation = assemble(
-            heights, front=angles.front, rear=angles.rear, pitch=angles.pitch, roll=roll
-        )
+        observation = assemble(heights, angles_of(angles), pitch=angles.pitch, roll=roll)
         # Later perceptions share a read-only copy; the newest array is the caller's.
         earlier, shared = self._recent[1 - MAX_HISTORY :], observation.copy()
         shared.setflags(write=False)
@@ -146,6 +145,7 @@ class Perceiver:
             position=_copy(ground.position),
             deviation=_copy(ground.deviation),
             roll=angles.roll,
+            flippers=angles.flippers,
         )
 
     def map_points(self) -> FloatArray | None:
@@ -248,7 +248,7 @@ class SceneSimulator:
 
     @property
     def poses(self) -> FloatArray:
-        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5)."""
+        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 3 + J)."""
         return self._drive.poses
 
     def perceive(self) -> Perception:
@@ -265,8 +265,8 @@ class SceneSimulator:
         return self._perceivers[exact]
 
     def step(self, action: int) -> Outcome | None:
-        """Simulate one decision; return the outcome, or None while the episode runs."""
-        return self._drive.decide(action)
+        """Simulate one decision of pairs; return the outcome, or None while the episode runs."""
+        return self._drive.decide(of_pairs(action, len(self._drive.robot.joints)))
 
     def save(self) -> Any:
         """Return a snapshot of the scene for ``load``."""

@@ -80,8 +80,8 @@ class Scene:
     """The robot as policies know it."""
     state: RobotState
     perceived: Perceived
-    action: tuple[int, int] | None = None
-    """Last action (front, rear); None before the first."""
+    action: tuple[int, ...] | None = None
+    """Turn of each joint by the last action; None before the first."""
     outcome: Outcome | None = None
     """How the episode ended; None while it runs."""
 

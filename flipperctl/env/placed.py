@@ -42,6 +42,7 @@ from flipperctl.api import (
     Sensor,
     Start,
 )
+from flipperctl.core.targets import angles_of
 from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError
 from flipperctl.plugging.checked import Checked, require
 from flipperctl.plugging.guard import refusal
@@ -111,7 +112,7 @@ class PlacedWorld:
         return getattr(self._world, name)
 
     def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Simulate up to ``samples`` sample periods; return the poses, (S, 5), at least one."""
+        """Simulate up to ``samples`` sample periods; return the poses, at least one."""
         poses: FloatArray = self._world.advance(samples, limits)
         if not 0 < len(poses) <= samples:  # none would not end
             text = f"returned {len(poses)} poses; allowed: 1 to {samples}"
@@ -125,6 +126,7 @@ class PlacedWorld:
         state: RobotState = self._world.state()
         # NaN and infinity stay in a sum.
         total = sum(_scalars(state)) + sum(state.position.tolist()) + sum(state.velocity.tolist())
+        total += sum(state.flippers)
         for array in (state.orientation, state.belts):
             if array is not None:
                 total += float(array.sum())
@@ -176,7 +178,8 @@ def require_sensed_finite(
     sensor: Sensor, senses: object, ground: SensedGround, angles: SensedAngles
 ) -> None:
     """Refuse numbers that are not finite, which the object ``senses`` of the sensor returned."""
-    total = angles.front + angles.rear + angles.pitch + angles.roll
+    posture = math.fsum((*angles_of(angles), angles.pitch, angles.roll))
+    total = posture
     for array in (ground.points, ground.heights, ground.position):
         if array is not None:
             total += float(np.vdot(array, array))
@@ -185,7 +188,7 @@ def require_sensed_finite(
         return
     numbers = ("points", "heights", "position")
     faults = [name for name in numbers if not _are_finite(getattr(ground, name))]
-    if not math.isfinite(angles.front + angles.rear + angles.pitch + angles.roll):
+    if not math.isfinite(posture):
         faults.append("angles")
     if faults:
         method = "sense" if hasattr(senses, "sense") else "estimate"

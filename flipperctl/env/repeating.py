@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import Plugin, action_index
+from flipperctl.api import Plugin
 from flipperctl.core.targets import Action
 from flipperctl.errors import FlipperctlError, PluginFailedError
 from flipperctl.plugging.guard import definition, plugin_label, refusal
@@ -144,10 +144,11 @@ def require_repeatable(env: Any, seed: int) -> None:
 def beginning(env: Any, seed: int) -> Iterator[tuple[str, object]]:
     """Yield what equal plugins repeat at the beginning of an episode, by what it is."""
     observation, _ = env.reset(seed=seed)
+    hold = env.drive.action
     yield "their ground", env.profile.points.tobytes()
     yield "their first observation", observation.tobytes()
     for number in range(_DECISIONS):
-        observation, _, *over, info = env.step(action_index(0, 0))
+        observation, _, *over, info = env.step(hold)
         yield f"their rewards of decision {number}", repr(info["rewards"])
         yield f"their observation after decision {number}", observation.tobytes()
         if any(over):

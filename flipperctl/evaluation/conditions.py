@@ -51,7 +51,8 @@ class Conditions:
         whole = to_dict(config.environment())
         # Settings that change nothing would give equal episodes different hashes.
         left_out = {
-            "sim": _without_effect(config, "sim"),
+            "robot": _added(config.robot),
+            "sim": _without_effect(config, "sim") | _added(config.sim),
             # The layout is set by the policy.
             "perception": {*ObservationLayout.model_fields, *_without_effect(config, "perception")},
         }
@@ -154,6 +155,12 @@ def numbered(names: Sequence[str]) -> list[str]:
     ]
 
 
+def _added(configured: Settings) -> set[str]:
+    """Return the settings that a later version added and that have their defaults."""
+    default = type(configured)()
+    return {n for n in configured.added if getattr(configured, n) == getattr(default, n)}
+
+
 def _without_effect(config: EvalConfig, section: str) -> set[str]:
     """Return the settings of engine or sensor that change nothing in any episode.
 
@@ -167,10 +174,9 @@ def _without_effect(config: EvalConfig, section: str) -> set[str]:
         if setting.section == section
     }
     default, drawn = type(configured)(), configured.model_copy(update=sampled)
-    added = configured.added if section == "sim" else frozenset()
     return {
         name
-        for name in configured.without_effect | added
+        for name in configured.without_effect
         if name in drawn.without_effect or getattr(configured, name) == getattr(default, name)
     }
 

@@ -113,7 +113,7 @@ class PlayedEpisodes:
             )
         if self._stop():
             raise InterruptedRunError("interrupted")
-        recorder, by_reward = EpisodeRecorder(), self._objective == "reward"
+        recorder, by_reward = EpisodeRecorder(self.robot), self._objective == "reward"
 
         def add(d: Decision) -> None:
             reward = d.reward

@@ -118,7 +118,7 @@ class EpisodeRunner:
             row = play(self.env, self._policy, seed, watch=digest.add, report_progress=report)
             return arranged({"episode": index, **row}) | {DIGEST: digest.hexdigest()}
         # A recorded episode has its decisions with labels as well.
-        policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
+        policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder(self.env.config.robot)
 
         def watch(d: Decision) -> None:
             before, after = d.perception.observation, d.next_perception.observation

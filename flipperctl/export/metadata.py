@@ -24,6 +24,13 @@ from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import JOINTS, MEANING, turns
 from flipperctl.runtime.interface import FORMAT_VERSION, PREFIX
 
+_CALLED = {
+    joint: joint.replace("_", " ") + (" flippers" if flippers == "pairs" else " flipper")
+    for flippers, joints in JOINTS.items()
+    for joint in joints
+}
+"""Name of a joint → words for it."""
+
 
 def policy_metadata(
     config: TrainConfig, plugins: Iterable[PluginReference] = (), risk: RiskSign | None = None
@@ -42,11 +49,11 @@ def policy_metadata(
         "bin_width": layout.bin_width,
         "highest": layout.highest,
         "frames": config.network.frames,
-        "joints": JOINTS,
-        "actions": turns(robot.angle_step, config.actions).tolist(),
+        "joints": robot.joints,
+        "actions": turns(robot.angle_step, config.actions, len(robot.joints)).tolist(),
         "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
         "decision_period": robot.decision_period,
-        "robot": robot.model_dump(mode="json", exclude_none=True),
+        "robot": robot.model_dump(mode="json", exclude_none=True, exclude={"flippers"}),
         "terrain": config.terrain.plugin_name,
         "terrain_config": to_dict(config.terrain),
         "seed": config.seed,
@@ -74,7 +81,7 @@ def policy_metadata(
 def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
     """Return the name, unit, frame and meaning of each of an observation's numbers."""
     edges = list(pairwise(observation.edges(layout.bins, layout.bin_width)))
-    front, rear, pitch = observation.ANGLES
+    *flippers, pitch = observation.angles(joints=len(layout.joints))
     sides = tuple(observation.SIDES) if layout.sides else ()
     kinds = {"h": "mean terrain height", **({"top": "highest point"} if layout.highest else {})}
     where = {"": "", **({s: f" below the {s[:-1]} tracks" for s in sides})}
@@ -91,8 +98,10 @@ def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
             for i, (low, high) in enumerate(edges, 1)
         ),
         *([(observation.ROLL, "rad", "L", "roll, left side up positive")] if sides else []),
-        (front, "rad", "R", "front flippers, above chassis positive"),
-        (rear, "rad", "R", "rear flippers, above chassis positive"),
+        *(
+            (name, "rad", "R", f"{_CALLED[joint]}, above chassis positive")
+            for name, joint in zip(flippers, layout.joints, strict=True)
+        ),
         (pitch, "rad", "L", "pitch, nose up positive"),
     ]
     return [dict(zip(("name", "unit", "frame", "meaning"), row, strict=True)) for row in rows]

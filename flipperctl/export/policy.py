@@ -102,7 +102,7 @@ def export(
         if risk is not None:
             network = PolicyWithRisk(network, risk).eval()
         data, outputs = export_onnx(network, config, {**metadata, CHECKSUM: PLACEHOLDER})
-    result = compare(module, outputs, observations, risk)
+    result = compare(module, outputs, observations, risk, config.actions)
     write_bytes(output, data := add_checksum(data))
     return {
         "format": "onnx",
@@ -148,12 +148,13 @@ def save_network(
         ) from error
     shape = tuple(getattr(returned, "shape", ()))
     returns = f"the shape {shape}" if shape else f"a {type(returned).__name__}"
-    if shape != (2, count := outputs_of(kind)):
+    joints = len(config.robot.joints)
+    if shape != (2, count := outputs_of(kind, joints)):
         other: ActionKind = "rates" if kind == "turns" else "turns"
         hint = f"; environment(actions={other!r}) has such actions"
         raise RequestError(
             f"network: it returns {returns} for (2, {size}); (2, {count}) is allowed"
-            f"{hint if shape == (2, outputs_of(other)) else ''}"
+            f"{hint if shape == (2, outputs_of(other, joints)) else ''}"
         )
     metadata = policy_metadata(config, plugin_references(config))
     metadata |= {f"{PREFIX}network": type(network).__name__}
@@ -165,7 +166,7 @@ def save_network(
             f"network: it returns {largest:.3g} in its own episodes; rates from -1 to 1 are "
             "allowed, as those of a last layer torch.nn.Tanh()"
         )
-    compared = compare(module, outputs, observations)
+    compared = compare(module, outputs, observations, kind=kind)
     write_bytes(output, add_checksum(data))
     return compared
 
@@ -326,8 +327,9 @@ def _import_package(name: str) -> Any:
 class _RecordingPolicy(TrainedPolicy):
     """Acts like a trained policy and keeps the inputs of its network."""
 
-    def __init__(self, module: nn.Module, frames: int, kind: ActionKind) -> None:
-        super().__init__(module, frames, kind=kind)
+    def __init__(self, module: nn.Module, config: TrainConfig) -> None:
+        joints = len(config.robot.joints)
+        super().__init__(module, config.network.frames, kind=config.actions, joints=joints)
         self.inputs: list[NDArray[np.float32]] = []
 
     def act(self, p: Perception) -> Action:
@@ -338,7 +340,7 @@ class _RecordingPolicy(TrainedPolicy):
 def rollout_observations(config: TrainConfig, module: nn.Module, count: int) -> NDArray[np.float32]:
     """Return at least ``count`` network inputs from the policy's own episodes, (M, F · n)."""
     env = FlipperEnv(config=config.environment().model_copy(update={"rewards": {}}))
-    policy = _RecordingPolicy(module, config.network.frames, config.actions)
+    policy = _RecordingPolicy(module, config)
     seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0
     # Whole episodes, with the seeds of an evaluation, until there are enough.
     while len(policy.inputs) < count:
@@ -352,6 +354,7 @@ def compare(
     exported: Outputs,
     observations: NDArray[np.float32],
     risk: nn.Module | None = None,
+    kind: ActionKind = "turns",
 ) -> dict[str, Any]:
     """Return the largest difference of the outputs and the agreement of the chosen actions.
 
@@ -368,7 +371,7 @@ def compare(
     difference, largest, limit = _difference([expected], [actual])
     # Actions must agree wherever two Q-values differ by more than rounding.
     agree = expected.argmax(1) == actual.argmax(1)
-    if expected.shape[1] != outputs_of("turns"):  # rates
+    if kind == "rates":
         agree = (np.abs(expected - actual) <= limit).all(axis=1)
     agreement = float(agree.mean())
     ordered = np.sort(expected, axis=1)
@@ -422,7 +425,7 @@ def compare_onnx(
 
     Returns the result of ``compare``.
     """
-    return compare(module, _as_onnx(module, config, {})[1], observations)
+    return compare(module, _as_onnx(module, config, {})[1], observations, kind=config.actions)
 
 
 def _as_onnx(

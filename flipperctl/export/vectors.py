@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from flipperctl.config import EvalConfig
+from flipperctl.core.targets import angles_of
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
 from flipperctl.policies.source import PolicySource
@@ -84,10 +85,13 @@ def _episode(
     for decision in decisions(env, driver, seed):
         seen = decision.perception
         points = seen.points if seen.filled is None else seen.points[~seen.filled]
-        measured = [seen.front, seen.rear]
+        measured = list(angles_of(seen))
+        half = len(measured) // 2
         targets = measured if targets is None else targets
         # The port's way: from points and angles to the observation, the input and the answer
-        observation = policy.observation(points, front=seen.front, rear=seen.rear, pitch=seen.pitch)
+        observation = policy.observation(
+            points, front=measured[:half], rear=measured[half:], pitch=seen.pitch
+        )
         missing = policy.interface.frames - len(frames) - 1
         frames = [*frames, observation][-policy.interface.frames :]
         stacked = np.concatenate([frames[0]] * max(0, missing) + frames)
@@ -99,6 +103,7 @@ def _episode(
                 "points": points.tolist(),
                 "front": seen.front,
                 "rear": seen.rear,
+                **({"flippers": measured} if seen.flippers else {}),
                 "pitch": seen.pitch,
                 "observation": observation.tolist(),
                 "input": stacked.tolist(),

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from flipperctl.agent.contract import check_demand
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import Adam, clipped_gain, descend, divergence, flatten_parameters
-from flipperctl.agent.networks import seeded
+from flipperctl.agent.networks import outputs, seeded
 from flipperctl.agent.replay import Batch, Replay
-from flipperctl.api import ACTIONS, Network, ObservationLayout, Training
+from flipperctl.api import Network, ObservationLayout, Training
 from flipperctl.checkpoint import LAST, find, read
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig, to_dict
@@ -277,11 +277,10 @@ def check_memory(settings: GradientSettings, config: TrainConfig) -> None:
     check_demand(
         config.network,
         config.perception,
-        len(ACTIONS),
         rows=min(settings.replay_size, config.train.decisions),
         drawn=settings.batch_size,
         batch=settings.batch_size,
-        labels=len(ACTIONS),
+        labels=outputs("turns", len(config.robot.joints)),
         privileged=SIZE,
         risk=settings.risk,
     )
@@ -310,7 +309,8 @@ class GradientLearning(PairLearning):
             input_size(training.network, training.layout),
             1,
             settings.gamma,
-            labels=len(ACTIONS),
+            labels=agent.actions,
+            actions=agent.actions,
             privileged=SIZE,
             risk_horizon=settings.risk_horizon if settings.risk else 0,
             newest=training.layout.size,

@@ -100,6 +100,7 @@ class D3qn(D3qnSettings):
             rng,
             training.generators.get("noise", rng),
             share=self.exploring_share,
+            joints=len(training.layout.joints),
         )
         # Without a teacher that acts, the student drives alone.
         teacher = training.config.teacher

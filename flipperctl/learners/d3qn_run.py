@@ -10,7 +10,7 @@ import torch
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import GroupBatch, GroupMemory, Replay
-from flipperctl.api import ACTIONS, Step, Training
+from flipperctl.api import Step, Training
 from flipperctl.config import Teacher, TrainConfig
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import ConfigError
@@ -86,7 +86,8 @@ class DoubleQLearning(PairLearning):
             input_size(training.network, training.layout),
             settings.n_step,
             settings.gamma,
-            labels=len(ACTIONS) if teacher.teaches else 0,
+            labels=agent.actions if teacher.teaches else 0,
+            actions=agent.actions,
             privileged=privileged,
             risk_horizon=settings.risk_horizon if settings.risk else 0,
             newest=training.layout.size,

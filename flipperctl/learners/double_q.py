@@ -29,10 +29,10 @@ from flipperctl.agent.losses import (
 from flipperctl.agent.networks import (
     difference_loss,
     difference_targets,
+    outputs,
     seeded,
 )
 from flipperctl.agent.replay import Batch, GroupBatch, Replay
-from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import NonFiniteError
@@ -109,7 +109,9 @@ class DoubleQ(NetworkPair):
     ) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
         # Curiosity is saved with the pair, but has a loss and an optimiser of its own.
         if self.settings.curiosity:
-            self.curiosity = curiosity = Curiosity(inputs, seed=self._seed, device=self.device)
+            self.curiosity = curiosity = Curiosity(
+                inputs, self.actions, seed=self._seed, device=self.device
+            )
             self._parts |= {
                 "curiosity": curiosity.network,
                 "curiosity_optimiser": curiosity.optimiser,
@@ -258,11 +260,10 @@ def check_memory(settings: D3qnSettings, config: TrainConfig, decisions: int) ->
     check_demand(
         config.network,
         config.perception,
-        len(ACTIONS),
         rows=min(settings.replay_size, decisions),
         drawn=drawn,
         batch=settings.batch_size,
-        labels=len(ACTIONS) if config.teacher.teaches else 0,
+        labels=outputs("turns", len(config.robot.joints)) if config.teacher.teaches else 0,
         privileged=SIZE if settings.privileged(config) else 0,
         risk=settings.risk,
     )

@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import torch
 
-from flipperctl.agent.networks import build_network
+from flipperctl.agent.networks import build_policy
 from flipperctl.agent.replay import Replay
-from flipperctl.api import ACTIONS, Training
+from flipperctl.api import Training
 from flipperctl.config import TrainConfig
 from flipperctl.learners.double_q import DoubleQ
 from flipperctl.learners.pair import NetworkPair, require_equal_parts
@@ -56,7 +56,7 @@ class FinalFit:
         # Random weights come from the seed again; those of start_from were saved with the run.
         if not (self._on and self._settings.start_from):
             return
-        module = build_network(self._config.network, self._layout, len(ACTIONS))
+        module = build_policy(self._config.network, self._layout)
         require_equal_parts(tensors, {_PART: module.state_dict()})
         module.load_state_dict(tensors[_PART])
         self._start = module, None

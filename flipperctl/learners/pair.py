@@ -15,10 +15,10 @@ import torch
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import Adam, descend, flatten_parameters
-from flipperctl.agent.networks import Noise, build_network, record_plugin
+from flipperctl.agent.networks import Noise, build_policy, outputs, record_plugin
 from flipperctl.agent.replay import Replay
 from flipperctl.agent.risk import RiskLearner
-from flipperctl.api import ACTIONS, Learning, Network, ObservationLayout, Outcome, Step, Training
+from flipperctl.api import Learning, Network, ObservationLayout, Outcome, Step, Training
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import Teacher
 from flipperctl.errors import ConfigError
@@ -48,11 +48,11 @@ class NetworkPair:
         self.device = torch.device(device)
         self._parts: dict[str, torch.nn.Module | Adam] = {}
         """The learner's state, by its names in a checkpoint."""
-        inputs = input_size(network, layout)
+        inputs, self.actions = input_size(network, layout), outputs("turns", len(layout.joints))
         # The weights follow from the seed alone; torch's global generator is restored afterwards.
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            built = build_network(network, layout, len(ACTIONS))
+            built = build_policy(network, layout)
             auxiliary = self._build_auxiliary(inputs, privileged)
         self.risk = RiskLearner(inputs, seed=seed, device=self.device) if settings.risk else None
         """The learner of the risk, if there is one."""

@@ -59,4 +59,5 @@ class PolicyGradient(GradientSettings):
         def temperature() -> float:
             return self.temperature_at(decision() / training.decisions)
 
-        return SamplingPolicy(module, training.network.frames, temperature, rng)
+        frames, joints = training.network.frames, len(training.layout.joints)
+        return SamplingPolicy(module, frames, temperature, rng, joints)

@@ -96,6 +96,8 @@ class Sb3(Learner):
                 f"network: {network} does not go with agent=sb3, which trains perceptrons; "
                 f"network={self.default_network} is allowed"
             )
+        if config.actions == "turns" and config.robot.flippers != "pairs":
+            raise ValueError("actions: agent=sb3 drives four flippers by rates; set actions=rates")
 
     def check_start(self, config: TrainConfig) -> None:
         """Refuse arguments that the algorithm does not take."""

@@ -172,7 +172,9 @@ def _model(method: Request, config: TrainConfig, env: gymnasium.Env[Any, Any]) -
     if isinstance(arguments.get("train_freq"), list):
         arguments["train_freq"] = tuple(arguments["train_freq"])
     if (noise := arguments.get("action_noise")) is not None:
-        arguments["action_noise"] = NormalActionNoise(np.zeros(2), np.full(2, float(noise)))
+        arguments["action_noise"] = NormalActionNoise(
+            *(np.full(len(config.robot.joints), size) for size in (0.0, float(noise)))
+        )
     # The layers of network=mlp, so that its module takes over their weights one by one.
     hidden: Sequence[int] = cast("Any", config.network).hidden
     policy = {

@@ -10,9 +10,8 @@ from typing import Any
 
 import torch
 
-from flipperctl.agent.networks import build_network
+from flipperctl.agent.networks import build_policy
 from flipperctl.agent.risk import RiskNetwork
-from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import read
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
@@ -87,7 +86,7 @@ def _same_network(
         f"{SETTING}: {name} has another network than this training; give it the same network and "
         "settings of the network"
     )
-    built = build_network(config.network, config.perception.layout, len(ACTIONS)).eval()
+    built = build_policy(config.network, config.perception.layout).eval()
     try:
         if len(columns) == rows.shape[1]:
             _require_equal_shapes(module, built)

@@ -279,7 +279,8 @@ class Person:
         """Show what is perceived, and ask the helper; the action has no effect."""
         if self._helper is not None:
             action = self._helper.act(p)
-            self._proposed = action if isinstance(action, tuple) else ACTIONS[action]
+            front, rear = action if isinstance(action, tuple) else ACTIONS[action]
+            self._proposed = front, rear
         self._scene.perceive(p, self._env.state, self._env.map_points())
         return action_index(0, 0)
 
@@ -298,7 +299,8 @@ class Person:
         if page.wished() == "again":
             raise AgainError
         proposed, self._proposed = self._proposed, (0, 0)  # a turn of a decision counts once
-        command, self._heard = self._hands.command(self._env.drive.targets, state, proposed)
+        front, rear = self._env.drive.targets
+        command, self._heard = self._hands.command((front, rear), state, proposed)
         self._phase = "held" if self._heard is None else "driving"
         # Without a driver the robot holds still, and after a while its clock stops, too.
         now = time.monotonic()

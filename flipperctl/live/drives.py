@@ -90,7 +90,7 @@ class DriveFolder:
         are written once the episode has ended, or not at all; ``keep``: whether they are.
         """
         seed = EvaluationSeeds.of(config.eval.seed, config.terrain)(index)
-        recorder, digest = EpisodeRecorder(), EpisodeDigest()
+        recorder, digest = EpisodeRecorder(config.robot), EpisodeDigest()
 
         def seen(d: Decision) -> None:
             before, after = d.perception.observation, d.next_perception.observation

@@ -190,7 +190,9 @@ def next_targets(
 ) -> tuple[float, float]:
     """Return the flippers' targets after an action, by the rule of the robot [rad]."""
     rule = TargetRule(window=robot.angle_step, limit=robot.angle_limit)
-    return rule.next_targets(targets, angles, [t * robot.angle_step for t in ACTIONS[action]])
+    turns = [turn * robot.angle_step for turn in ACTIONS[action]]
+    front, rear = rule.next_targets(targets, angles, turns)
+    return front, rear
 
 
 def nominal(geometry: RobotGeometry) -> Robot:

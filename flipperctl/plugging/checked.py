@@ -214,7 +214,7 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
         ),
         "position": _where("two finite numbers", _is_pair),
         "pitch": _NUMBER,
-        "advance": _array(_ANY, 5),
+        "advance": _array(_ANY, lambda engine, *_: 5 if engine.flippers == ("pairs",) else _ANY),
         "state": _STATE,
         "penetration": _NUMBER,
         "ended": _optional(_instance(Outcome, "an")),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.frames import stacked
 from flipperctl.agent.plain import Outputs, PlainNetwork, best
-from flipperctl.api import ACTIONS, FloatArray, Perception, Simulator, StateGroups
+from flipperctl.api import FloatArray, Perception, Simulator, StateGroups
 from flipperctl.core.risk import EpisodeRisk, Escape, EscapeRule, drawn
 from flipperctl.core.targets import Action, ActionKind, rates_of
 from flipperctl.policies.controllers import from_costs, no_label
@@ -30,23 +30,25 @@ Driving: TypeAlias = "torch.nn.Module | PlainNetwork"
 """A network that drives, of torch or of numpy."""
 
 
-def outputs_of(network: Driving, kind: ActionKind = "turns") -> Outputs:
+def outputs_of(network: Driving, kind: ActionKind = "turns", joints: int = 2) -> Outputs:
     """Return what computes the outputs of a network, of as many numbers as the ``kind`` has."""
     if isinstance(network, PlainNetwork):
         return network
     from flipperctl.agent.networks import TorchNetwork
 
-    return TorchNetwork(network, kind)
+    return TorchNetwork(network, kind, joints)
 
 
 class _NetworkPolicy:
     """A policy that acts on the outputs of a network, which takes ``frames`` observations."""
 
-    def __init__(self, network: Driving, frames: int, kind: ActionKind = "turns") -> None:
-        self.network, self.frames, self.kind = outputs_of(network, kind), frames, kind
+    def __init__(
+        self, network: Driving, frames: int, kind: ActionKind = "turns", joints: int = 2
+    ) -> None:
+        self.network, self.frames, self.kind = outputs_of(network, kind, joints), frames, kind
 
     def q_values(self, p: Perception) -> list[float]:
-        """Return the Q-values, (9,)."""
+        """Return the Q-values, (3^J,)."""
         return self.network.outputs(stacked(p.recent, self.frames))
 
 
@@ -63,12 +65,13 @@ class TrainedPolicy(_NetworkPolicy):
         risk: Risk | PlainRisk | None = None,
         escape: EscapeRule | None = None,
         kind: ActionKind = "turns",
+        joints: int = 2,
     ) -> None:
         """``risk``: the network of its risk on the CPU, if there is one.
 
         ``escape``: how it draws its actions while that warns; None: it never does.
         """
-        super().__init__(network, frames, kind)
+        super().__init__(network, frames, kind, joints)
         self._risk = risk
         self.risk_sign = None if risk is None else risk.sign
         """When its risk is a warning; None without a risk."""
@@ -84,7 +87,7 @@ class TrainedPolicy(_NetworkPolicy):
             self._escape.reset()
 
     def act(self, p: Perception) -> Action:
-        """Return the index of an action, 0 to 8, or rates."""
+        """Return the index of an action, or rates."""
         return self.act_on(p.recent, p.position)
 
     def act_on(
@@ -128,13 +131,15 @@ class ExploringPolicy(_NetworkPolicy):
         rng: np.random.Generator,
         noise_rng: np.random.Generator,
         share: float = 1.0,
+        joints: int = 2,
     ) -> None:
         """``network`` is put into the mode of decisions at the start of each episode.
 
         ``epsilon`` is called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
-        ``share``: share of the episodes that have random actions [-].
+        ``share``: share of the episodes that have random actions [-]. ``joints``: J.
         """
-        super().__init__(network, frames)
+        super().__init__(network, frames, joints=joints)
+        self._actions = 3**joints
         self._epsilon, self._rng, self._noise_rng = epsilon, rng, noise_rng
         self._share, self._greedy = share, False
         self.explored = False
@@ -149,7 +154,7 @@ class ExploringPolicy(_NetworkPolicy):
         """Return the index of a random or greedy action."""
         self.explored = not self._greedy and self._rng.random() < self._epsilon()
         if self.explored:
-            return int(self._rng.integers(len(ACTIONS)))
+            return int(self._rng.integers(self._actions))
         self.network.draw_noise(self._noise_rng)
         return best(self.q_values(p))
 
@@ -166,15 +171,16 @@ class SamplingPolicy(_NetworkPolicy):
         frames: int,
         temperature: Callable[[], float],
         rng: np.random.Generator,
+        joints: int = 2,
     ) -> None:
         """``network`` is put into ``eval()`` mode at the start of each episode.
 
-        ``temperature`` is called at each decision [-]. ``rng`` draws.
+        ``temperature`` is called at each decision [-]. ``rng`` draws. ``joints``: J.
         """
-        super().__init__(network, frames)
+        super().__init__(network, frames, joints=joints)
         self._temperature, self._rng = temperature, rng
         self.label = no_label()
-        """Probabilities of the actions at the last decision, (9,)."""
+        """Probabilities of the actions at the last decision, (3^J,)."""
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode; nothing is remembered."""

@@ -29,7 +29,7 @@ from flipperctl.api.controllers import Rule
 from flipperctl.config import Teacher
 from flipperctl.config.identity import foreign_plugins
 from flipperctl.core.risk import RiskSign
-from flipperctl.core.targets import ALLOWED, Action, as_action
+from flipperctl.core.targets import Action, allowed, as_action, of_pairs
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.plugging.checked import require
@@ -54,20 +54,22 @@ class FunctionPolicy:
         return self._rule(p)
 
 
-def plugin_policy(controller: Controller) -> PluginPolicy:
-    """Return the policy that a controller builds."""
-    return PluginPolicy(controller, require(controller, "build", controller.build()))
+def plugin_policy(controller: Controller, joints: int = 2) -> PluginPolicy:
+    """Return the policy that a controller builds, for a robot of J joints."""
+    return PluginPolicy(controller, require(controller, "build", controller.build()), joints)
 
 
 class PluginPolicy:
     """Runs the policy that a controller plugin built.
 
-    Every method raises ``PluginFailedError`` for an answer that the contract does not allow, or if
-    the controller draws from global generators.
+    An index of pairs drives both sides of a robot with four flippers alike; a rule for four returns
+    four rates. Every method raises ``PluginFailedError`` for an answer that the contract does not
+    allow, or if the controller draws from global generators.
     """
 
-    def __init__(self, controller: Controller, policy: Policy) -> None:
-        """Run ``policy``, which ``controller`` built."""
+    def __init__(self, controller: Controller, policy: Policy, joints: int = 2) -> None:
+        """Run ``policy``, which ``controller`` built, on a robot of J joints."""
+        self._joints = joints
         self._controller, self._foreign = controller, foreign_plugins([controller])
         self._policy: Any = policy
         self.offers_costs = isinstance(policy, CostPolicy)
@@ -103,10 +105,12 @@ class PluginPolicy:
         """Return the controller's action."""
         with self._calling("act"):
             answer: object = self._policy.act(p)
-            action = as_action(answer)
-        if action is None:
-            raise self._refusal("act", answer, ALLOWED)
-        return action
+            pairs, rates = as_action(answer), as_action(answer, self._joints)
+        if pairs is not None:
+            return of_pairs(pairs, self._joints)
+        if not isinstance(rates, tuple):
+            raise self._refusal("act", answer, allowed())
+        return rates
 
     @property
     def planned(self) -> Any:

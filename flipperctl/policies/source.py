@@ -32,7 +32,15 @@ from flipperctl.api import (
 from flipperctl.api.controllers import plans_on_rewards
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, hub, read_policy, shipped_policies
-from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, policy_file, resolver
+from flipperctl.config import (
+    EnvConfig,
+    EvalConfig,
+    TrainConfig,
+    default_engine,
+    parse,
+    policy_file,
+    resolver,
+)
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import Action, turns
@@ -202,7 +210,8 @@ class PolicySource:
         module, risk = policy_module(checkpoint), policy_risk(checkpoint)
         settings = trained.agent.failure_risk
         escape = None if settings is None else settings.escape
-        policy = TrainedPolicy(module, trained.network.frames, risk, escape, trained.actions)
+        frames, kind, joints = trained.network.frames, trained.actions, len(trained.robot.joints)
+        policy = TrainedPolicy(module, frames, risk, escape, kind, joints)
         check_layout(self.file, trained.perception.layout, config)
         return policy
 
@@ -227,7 +236,7 @@ def controller_policy(
     controller: Controller, config: EnvConfig, path: str = "controller"
 ) -> PluginPolicy:
     """Return the policy of a controller ``with_files``."""
-    return plugin_policy(with_files(controller, config, path))
+    return plugin_policy(with_files(controller, config, path), len(config.robot.joints))
 
 
 def with_files(controller: Controller, config: EnvConfig, path: str = "controller") -> Controller:
@@ -320,11 +329,11 @@ class ExportedPolicy:
         self._policy.reset()
 
     def act(self, p: Perception) -> Action:
-        """Return the index of the action with the largest Q-value, 0 to 8, or rates."""
+        """Return the index of the action with the largest Q-value, or rates."""
         return self._policy.act(p.observation, p.position)
 
     def q_values(self, p: Perception) -> list[float]:
-        """Return the Q-values, (9,)."""
+        """Return the Q-values, (3^J,)."""
         values = self._policy.q_values(stacked(p.recent, self.interface.frames))
         return [float(value) for value in values]
 
@@ -341,7 +350,8 @@ def exported_config(file: Path) -> EvalConfig:
     interface = OnnxPolicy(file).interface
     settings = {
         "terrain": dict(interface.terrain_config),
-        "robot": dict(interface.robot),
+        "robot": {**interface.robot, "flippers": interface.flippers},
+        "sim": default_engine(interface.flippers),
         "perception": layout_of(interface).model_dump(),
     }
     files = {(plugin.kind, plugin.name): plugin.file for plugin in interface.plugins}
@@ -386,7 +396,8 @@ def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
     """Yield a description of each value that the file applies instead of the robot's."""
     rule = interface.targets
     step, limit, period = robot.angle_step, robot.angle_limit, robot.decision_period
-    if not np.allclose(interface.actions, turns(step, interface.kind), rtol=0.0, atol=_CLOSE):
+    table = turns(step, interface.kind, len(interface.joints))
+    if not np.allclose(interface.actions, table, rtol=0.0, atol=_CLOSE):
         largest = np.abs(interface.actions).max()
         yield f"turns of {largest:.6g} rad (robot.angle_step asks for {step:.6g})"
     elif math.isfinite(rule.window) and not _close(rule.window, step):

@@ -30,7 +30,7 @@ from flipperctl.errors import CheckpointError, ConfigError
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     """Return the network of a checkpoint with its trained weights, on the CPU, in ``eval()`` mode.
 
-    It maps observations (B, F · n) of F frames in SI units to Q-values (B, 9) or rates (B, 2).
+    It maps observations (B, F · n) of F frames in SI units to Q-values (B, 3^J) or rates (B, J).
     """
     config = checkpoint.policy_config()
     try:

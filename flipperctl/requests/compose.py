@@ -28,6 +28,7 @@ from flipperctl.config import (
     DEFAULT_ENGINE,
     EvalConfig,
     TrainConfig,
+    default_engine,
     parse,
     presets,
 )
@@ -131,7 +132,8 @@ def register_trained(config: TrainConfig | EvalConfig) -> str:
     # Later entries override earlier ones.
     defaults = [
         *({group: _TRAINED} for group in inherited.chosen),
-        *({group: DEFAULT_ENGINE} for group in groups),
+        {"sim": default_engine(config.robot.flippers)},
+        {"perception": DEFAULT_ENGINE},
         "_self_",
         {"conditions": NOMINAL},
     ]

@@ -134,7 +134,7 @@ class Actor:
         self._greedy = GreedyPlayer(parsed, self._env, plain)
         # Weights, generator and decision come with each request, and are set in place.
         network: Any = plain.policy if plain else self._torch_network(parsed)
-        self._network = outputs_of(network)
+        self._network = outputs_of(network, joints=len(parsed.robot.joints))
         self._rng, self._decision = np.random.default_rng(), 0
         self._policy = parsed.agent.drive(
             self._training, network, lambda: self._decision, self._rng
@@ -172,7 +172,9 @@ class GreedyPlayer:
         """``env`` plays the episodes; ``plain``: see ``Actor``."""
         network, risk = (plain.policy, plain.risk) if plain else _torch_networks(config)
         self._env, self._risk = env, risk
-        self._policy = TrainedPolicy(network, config.network.frames, risk, kind=config.actions)
+        frames, joints = config.network.frames, len(config.robot.joints)
+        kind = config.actions
+        self._policy = TrainedPolicy(network, frames, risk, kind=kind, joints=joints)
         self.network = self._policy.network
 
     def load(self, weights: Weights) -> None:

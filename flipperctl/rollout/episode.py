@@ -25,17 +25,18 @@ from flipperctl.api import (
     Perception,
     Policy,
     RecordedEpisode,
+    Robot,
     Step,
     Terrain,
     Transition,
 )
 from flipperctl.config import identity
 from flipperctl.core.risk import RiskSign
-from flipperctl.core.targets import ALLOWED, Rates, as_action
+from flipperctl.core.targets import Rates, allowed, as_action
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.env.privileged import PrivilegedStates
-from flipperctl.errors import FlipperctlError
+from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.rollout.risks import EpisodeRisks
 from flipperctl.sim.versions import samples_in
 
@@ -45,7 +46,13 @@ NO_LABEL = np.zeros(len(ACTIONS), np.float32)
 class EpisodeRecorder:
     """Collects the decisions of one episode at a time."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot: Robot | None = None) -> None:
+        """Record episodes of ``robot``; ConfigError for one with other joints than pairs."""
+        if robot is not None and robot.flippers != "pairs":
+            raise ConfigError(
+                "robot.flippers: episodes are recorded of pairs alone, for files, drives and "
+                "searches of settings"
+            )
         self._observations: list[NDArray[np.float32]] = []
         self._decisions: list[tuple[int, float, NDArray[np.float32]]] = []
         self._commands: list[FloatArray] = []
@@ -123,7 +130,7 @@ class Decision:
 
     @property
     def poses(self) -> FloatArray:
-        """Poses (S + 1, 5) every 10 ms: x [m], z [m], pitch, front and rear flipper angle [rad]."""
+        """Poses (S + 1, 3 + J) every 10 ms: x [m], z [m], pitch and flipper angles [rad]."""
         return np.column_stack([self.transition.path, self.transition.flippers])
 
 
@@ -147,7 +154,7 @@ def decisions(
     # Observers are set before the reset, so that they see the start.
     env.observers = tuple(observers)
     env.reset(seed=seed, options={"difficulty": difficulty})
-    simulator = env.simulator(report_progress)
+    simulator, joints = env.simulator(report_progress), len(env.robot.joints)
     policy.reset(simulator)
     # An operator commands between decisions as well, with the period of its own.
     if (period := getattr(policy, "command_period", None)) is not None:
@@ -161,8 +168,9 @@ def decisions(
             pace(env.state.time)
         perception = env.perception
         action = policy.act(perception)
-        if as_action(action) is None:
-            raise FlipperctlError(f"{type(policy).__name__}.act returned {action!r}; {ALLOWED}")
+        if as_action(action, joints) is None:
+            text = f"{type(policy).__name__}.act returned {action!r}; {allowed(joints)}"
+            raise FlipperctlError(text)
         # A policy computes its risk as part of acting.
         if sign is not None and (risk := getattr(policy, "risk", None)) is not None:
             risks.append(risk)

@@ -26,6 +26,7 @@ from flipperctl.api import (
     RobotState,
     Transition,
 )
+from flipperctl.core.targets import by_joint, means
 from flipperctl.errors import RequestError, other_format
 from flipperctl.text.files import write_bytes
 
@@ -70,7 +71,7 @@ class Trace:
     decided: FloatArray
     """Times of the decisions, (D,) [s]."""
     actions: FloatArray
-    """Turns of the front and the rear flippers, each -1, 0 or 1, (D, 2)."""
+    """Turns of the front and the rear flippers, each -1, 0 or 1, or means of both sides, (D, 2)."""
     heights: FloatArray
     """Perceived mean heights of the N bins ahead and behind, relative to the chassis centre, (D, N)
     [m]; NaN: the bin was never seen."""
@@ -102,7 +103,7 @@ class Trace:
             robot=transitions[0].robot,
             ground=profile.points,
             decided=np.array([t.before.time for t in transitions]),
-            actions=np.array([t.action for t in transitions], np.float64),
+            actions=np.array([means(t.action) for t in transitions], np.float64),
             heights=heights,
             bin_width=known[0].layout.bin_width if known else 0.0,
             maps=tuple(
@@ -154,10 +155,10 @@ def instants(transitions: Sequence[Transition], period: float) -> Iterator[Robot
             # Half a sample of tolerance, so that rounding skips no pose that is due.
             if time < due - t.sample_period / 2:
                 continue
-            front, rear = t.flippers[index].tolist()
+            angles = by_joint(t.flippers[index].tolist())
             due += period
             place = np.array([x, z])
-            yield replace(t.before, position=place, pitch=pitch, front=front, rear=rear, time=time)
+            yield replace(t.before, position=place, pitch=pitch, time=time, **angles)
     yield transitions[-1].after
 
 

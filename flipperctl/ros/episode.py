@@ -20,6 +20,7 @@ from flipperctl.api import FloatArray, Measured, Perception, RobotState, Sensor,
 from flipperctl.config import EvalConfig
 from flipperctl.core.lidar.body import attitude
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
+from flipperctl.core.targets import angles_of
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import OutputError, RequestError
@@ -124,7 +125,7 @@ def export_bag(
     seed = EvaluationSeeds.of(config.eval.seed, config.terrain)(episode)
     decided, sensed, ending = [], 0.0, None
     for decision in decisions(env, source.build(config), seed, observers=(watch,)):
-        targets = make.angles(*env.drive.targets)
+        targets = make.angles(env.drive.targets)
         at = decision.transition.before.time
         decided.append(_Decided(at, sensed, decision.perception, decision.action, targets))
         sensed, ending = env.drive.delayed_state.time, decision.ending
@@ -208,7 +209,7 @@ def _messages(
         time = state.time
         yield Stamped(time, TRANSFORMS, make.transforms(state))
         yield Stamped(time, ODOMETRY, make.odometry(state))
-        yield Stamped(time, JOINT_STATES, make.joint_state(time, state.front, state.rear))
+        yield Stamped(time, JOINT_STATES, make.joint_state(time, *angles_of(state)))
 
     # What the policy perceived and did
     for decision in decided:

@@ -22,6 +22,7 @@ from flipperctl.checkpoint.recording import PartialEnvironment
 from flipperctl.config import EvalConfig, to_dict
 from flipperctl.config.policy_file import drive_files
 from flipperctl.core import observation as layout
+from flipperctl.core.targets import angles_of
 from flipperctl.env.drive import closest_action
 from flipperctl.errors import RequestError
 from flipperctl.policies.controllers import from_action
@@ -166,16 +167,15 @@ def _episode(
     number: int, stretch: Sequence[Instant], config: EvalConfig, outcome: Outcome
 ) -> RecordedEpisode:
     robot, actions = config.robot, []
-    followed = stretch[0].angles.front, stretch[0].angles.rear
+    followed = angles_of(stretch[0].angles)
     for instant in stretch[1:]:
-        turned = instant.angles.front, instant.angles.rear
+        turned = angles_of(instant.angles)
         action, followed = closest_action(followed, turned, robot.angle_step, robot.angle_limit)
         actions.append(action)
     observations = [
         layout.assemble(
             instant.ground.heights,
-            front=instant.angles.front,
-            rear=instant.angles.rear,
+            angles_of(instant.angles),
             pitch=instant.angles.pitch,
             roll=instant.angles.roll if config.perception.sides else None,
         )

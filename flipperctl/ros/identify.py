@@ -160,7 +160,7 @@ def robot_file(bag: Path, robot: Robot, told: dict[str, Estimate]) -> str:
     ]
     for name, value in robot.model_dump(exclude_none=True).items():
         if (estimate := told.get(f"robot.{name}")) is None:
-            lines.append(f"{name}: {value!r}")
+            lines.append(f"{name}: {value}")
         else:
             likely = estimate.near(value)
             lines.append(f"{name}: {likely:.5g} # {estimate.interval()}: {estimate.why}")

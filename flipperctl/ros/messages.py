@@ -11,6 +11,8 @@ centre, turned by the heading; ``lidar`` is frame S.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from types import ModuleType
@@ -96,23 +98,27 @@ class Messages:
         seconds, rest = divmod(round(self.origin * 1e9) + round(time * 1e9), 10**9)
         return self._make("builtin_interfaces/Time", sec=seconds, nanosec=rest)
 
-    def joint_state(self, time: float, front: float, rear: float) -> Any:
-        """Return the angles of both pairs in frame R [rad] as a ``JointState``."""
+    def joint_state(self, time: float, *angles: float) -> Any:
+        """Return the angles of J joints in frame R [rad] as a ``JointState``."""
         names = [
             name.lstrip("-") for name in (*self.devices.joints.front, *self.devices.joints.rear)
         ]
-        content: dict[str, Any] = {"name": names, "position": self.angles(front, rear)}
+        content: dict[str, Any] = {"name": names, "position": self.angles(angles)}
         content |= {"velocity": np.empty(0), "effort": np.empty(0)}
         return self._make("sensor_msgs/JointState", header=self.header(time, self._base), **content)
 
-    def angles(self, front: float, rear: float) -> FloatArray:
-        """Return the angles of all joints, as the robot counts them, from those in frame R."""
-        joints, signs = self.devices.joints, self.devices.signs
-        pairs = (joints.front, signs.front * front), (joints.rear, signs.rear * rear)
+    def angles(self, joints: Sequence[float]) -> FloatArray:
+        """Return the angles of all flippers, as the robot counts them, by those of J joints [rad].
+
+        Those of the joints are in frame R.
+        """
+        named, signs, half = self.devices.joints, self.devices.signs, len(joints) // 2
+        ends = (named.front, signs.front, joints[:half]), (named.rear, signs.rear, joints[half:])
+        # The flippers of a pair have one angle in common.
         angles = [
-            (-angle if name.startswith("-") else angle) / joints.scale
-            for pair, angle in pairs
-            for name in pair
+            (-angle if name.startswith("-") else angle) * sign / named.scale
+            for names, sign, end in ends
+            for name, angle in zip(names, itertools.cycle(end), strict=False)
         ]
         return np.array(angles) + 0.0  # no -0
 

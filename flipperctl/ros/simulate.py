@@ -30,6 +30,7 @@ from flipperctl.api import Command, Measured, Perception, RobotState, Simulator,
 from flipperctl.config import EvalConfig
 from flipperctl.core.lidar.body import attitude
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
+from flipperctl.core.targets import angles_of
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import FlipperctlError, RequestError
@@ -295,7 +296,7 @@ class TopicRobot(Observer):
         state = world.state()
         self._pace(state.time)
         self._send("/clock", self._make.clock(state.time))
-        joints = self._make.joint_state(state.time, state.front, state.rear)
+        joints = self._make.joint_state(state.time, *angles_of(state))
         self._measure(self.devices.topics.joints, joints)
         self._send("odom", self._make.odometry(state))
         self._send("/tf", self._make.transforms(state))

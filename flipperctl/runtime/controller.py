@@ -24,7 +24,7 @@ from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts, Joints, real, short
 from flipperctl.core.lidar.outline import accuracy_of
 from flipperctl.core.sensing import Measured, SensedGround
-from flipperctl.core.targets import JOINTS, Action
+from flipperctl.core.targets import Action, alike, angles_of
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.interface import Interface
@@ -38,20 +38,20 @@ from flipperctl.runtime.messages import (
 )
 from flipperctl.runtime.motion import PairMotion
 from flipperctl.runtime.policy import OnnxPolicy
-from flipperctl.runtime.states import DRIVES, Fault, Pair, States
+from flipperctl.runtime.states import DRIVES, Angles, Fault, States
 
 
 @dataclass(frozen=True)
 class Answer:
     """What the flippers and the belts shall do until the next step, or until it expires."""
 
-    targets: Pair | None
-    """Angles to turn the front and the rear flippers to, in the robot's signs [rad].
+    targets: Angles | None
+    """Angle to turn each joint to, of pairs front and rear, in the robot's signs (J,) [rad].
 
     None in ``standby``, while it waits and before the first decision: then send the flippers
     nothing. As long as a pair was not seen to obey, it is its setpoint.
     """
-    setpoints: Pair | None
+    setpoints: Angles | None
     """Where the flippers shall be now on their way there, at the speed of the training [rad]."""
     drive: bool
     """Whether the belts may run."""
@@ -159,7 +159,8 @@ class FlipperController:
 
     def _begin(self, *, level: bool, since: float = -math.inf) -> None:
         self._estimator = new_estimator(self.policy.interface, self._setup, level=level)
-        self._intake = Intake(self._setup, self._limits, since=since)
+        joints = len(self.policy.interface.joints)
+        self._intake = Intake(self._setup, self._limits, since=since, joints=joints)
         self._begun: float | None = None  # time of the first step [s]
         self._decided = False
         self._answer = Answer(None, None, False, "waiting")
@@ -179,16 +180,17 @@ class FlipperController:
         interface = self.policy.interface
         delay = float(interface.robot.get("actuator_delay", 0.0))
         numbers = float(np.abs(interface.actions).max()), self._period, self._turning, delay
-        motions = {name: PairMotion(name, *numbers, self._limits) for name in JOINTS}
+        joints = interface.joints
+        motions = {name: PairMotion(name, *numbers, self._limits) for name in joints}
         for motion in motions.values():
             motion.obeys = self._trusted
         return motions
 
     def _release(self) -> None:
         """Command nothing; the policy forgets its earlier observations."""
-        self._targets: Pair | None = None  # the policy's, or where the flippers are held
-        self._setpoints: Pair | None = None
-        self._shown: Pair | None = None  # the targets of the answer
+        self._targets: Angles | None = None  # the policy's, or where the flippers are held
+        self._setpoints: Angles | None = None
+        self._shown: Angles | None = None  # the targets of the answer
         self._held = False
         self.policy.reset()
 
@@ -296,7 +298,7 @@ class FlipperController:
             driven, pairs = self._states.driven, zip(motions, sides, strict=False)
             faults = [motion.hold(now, angles, driven=driven) for motion, angles in pairs]
         else:
-            targets = zip(motions, self._targets or (None, None), sides, strict=False)
+            targets = zip(motions, self._targets or [None] * len(sides), sides, strict=False)
             faults = [motion.compare(now, target, angles) for motion, target, angles in targets]
         fault = next((fault for fault in faults if fault is not None), None)
         if fault is not None:
@@ -324,13 +326,13 @@ class FlipperController:
         if self._undecided is not None:
             self._states.update(now, self._undecided)
             return None
-        measured = front, rear = angles.front, angles.rear
+        measured = angles_of(angles)
         assert ground.heights is not None  # of a map
         # In standby a decision is tried too, so that what would prevent it shows before the belts
         # start.
         pose, roll = self._estimator.pose, angles.roll if self.policy.interface.sides else None
         action = self.policy.act(
-            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch, roll=roll),
+            layout.assemble(ground.heights, measured, pitch=angles.pitch, roll=roll),
             (pose.x, pose.y, pose.z),
         )
         if self._states.update(now, None) != "driving":
@@ -342,8 +344,8 @@ class FlipperController:
             self._held = False
             for motion in self._motions.values():
                 motion.begin()
-        front, rear = self.policy.next_targets(self._targets, measured, action).tolist()
-        self._targets, self._decided = (front, rear), True
+        targets = self.policy.next_targets(self._targets, measured, action)
+        self._targets, self._decided = tuple(targets.tolist()), True
         for motion in self._motions.values():
             motion.decide()
         self._advance(now, 0.0)
@@ -365,13 +367,13 @@ class FlipperController:
         if self._targets is None or self._setpoints is None or self._held:
             return
         # A pair that was not seen to obey stays at first, to see whether it does.
-        points, shown = [], []
-        for name, target, point in zip(JOINTS, self._targets, self._setpoints, strict=True):
+        points, shown, joints = [], [], self.policy.interface.joints
+        for name, target, point in zip(joints, self._targets, self._setpoints, strict=True):
             motion = self._motions.get(name)
             most = 0.0 if motion is not None and motion.probes(now) else self._turning * elapsed
             points.append(point + min(most, max(-most, target - point)))
             shown.append(target if motion is None else motion.command(now, points[-1], target))
-        self._setpoints, self._shown = (points[0], points[1]), (shown[0], shown[1])
+        self._setpoints, self._shown = tuple(points), tuple(shown)
 
     def _hold_or_release(self, now: float, fault: Fault | None) -> None:
         """Hold the flippers at a fault, but in a short gap; command nothing before a drive."""
@@ -385,17 +387,19 @@ class FlipperController:
             if joints is not None and not (gap and now - (since or now) <= self._limits.short_gap):
                 self._hold(joints)
 
-    def _hold(self, joints: Joints, faults: Sequence[Fault | None] = (None, None)) -> None:
+    def _hold(self, joints: Joints, faults: Sequence[Fault | None] = ()) -> None:
         """Hold the flippers where they are; the policy forgets its earlier observations.
 
-        ``faults`` of the motion of each pair; where its angles are in doubt, its commands count.
+        ``faults`` of the motion of each joint, if there are any; where its angles are in doubt,
+        its commands count.
         """
-        at = []
-        for name, angle, fault in zip(JOINTS, (joints.front, joints.rear), faults, strict=True):
+        at, names = [], self.policy.interface.joints
+        faults = faults or [None] * len(names)
+        for name, angle, fault in zip(names, angles_of(joints), faults, strict=True):
             motion = self._motions.get(name)
             right = motion is None or (motion.obeys if fault is None else fault.name in _FOLLOWS)
             at.append(angle if motion is None or right else motion.angle(angle))
-        self._targets = self._setpoints = self._shown = at[0], at[1]
+        self._targets = self._setpoints = self._shown = tuple(at)
         self._held = True
         self.policy.reset()
 
@@ -440,9 +444,11 @@ class FlipperController:
             self._log(json.dumps(line))
         return answer
 
-    def _theirs(self, pair: Pair | None) -> Pair | None:
-        signs = self._setup.signs
-        return None if pair is None else (signs.front * pair[0], signs.rear * pair[1])
+    def _theirs(self, angles: Angles | None) -> Angles | None:
+        if angles is None:
+            return None
+        signs = alike((self._setup.signs.front, self._setup.signs.rear), len(angles))
+        return tuple(sign * angle for sign, angle in zip(signs, angles, strict=True))
 
 
 _LENGTHS = "chassis_length", "flipper_length", "track_radius"

@@ -23,7 +23,6 @@ from flipperctl.core.lidar.messages import (
     real,
     short,
 )
-from flipperctl.core.targets import JOINTS
 from flipperctl.runtime.messages import (
     ABSENT,
     KINDS,
@@ -65,13 +64,15 @@ class Intake:
         limits: Limits,
         cloud_needs: Collection[str] = ("joints", "attitude"),
         since: float = -math.inf,
+        joints: int = 2,
     ) -> None:
         """``cloud_needs``: devices that tell the posture with which a cloud enters the map.
 
-        ``since``: messages stamped before are skipped [s].
+        ``since``: messages stamped before are skipped [s]. ``joints``: J; of 4, a message must have
+        the angle of each.
         """
         self._setup, self._limits, self._cloud_needs = setup, limits, cloud_needs
-        self.since = since
+        self.since, self._joints = since, joints
         self._times: dict[str, float] = {}
         self._refused: dict[str, Fault] = {}
         self._tilts = Tilts()
@@ -82,7 +83,7 @@ class Intake:
         self._speed = math.inf  # of the belts, as long as it is unknown [m/s]
         self.joints: Joints | None = None
         self.sides: list[list[float]] = []
-        """Angles of each joint of the front and of the rear flippers, or of the pairs [rad]."""
+        """Measured angles of each joint, of a pair those of its sides or their mean [rad]."""
         self.inertial: Inertial | None = None
 
     @property
@@ -226,11 +227,22 @@ class Intake:
         signs = self._setup.signs
         if isinstance(message, JointAngles):
             factors = signs.front, signs.rear
-            means = [_number(device, n, getattr(message, n), _LARGEST_ANGLE) for n in JOINTS]
+            means = [
+                _number(device, n, getattr(message, n), _LARGEST_ANGLE) for n in ("front", "rear")
+            ]
             offsets = [[0.0], [0.0]] if message.offsets is None else _offsets(message.offsets)
             pairs = zip(factors, means, offsets, strict=True)
-            self.sides = [[s * (mean + off) for off in pair] for s, mean, pair in pairs]
-            return time, Joints(*(s * a for s, a in zip(factors, means, strict=True)))
+            sides = [[s * (mean + off) for off in pair] for s, mean, pair in pairs]
+            front, rear = (s * a for s, a in zip(factors, means, strict=True))
+            if self._joints == len(sides):
+                self.sides = sides
+                return time, Joints(front, rear)
+            # Each joint has a motion of its own.
+            each = [angle for pair in sides for angle in pair]
+            if len(each) != self._joints:
+                raise _refusal(device, "value", "has angles of pairs alone", "one of each flipper")
+            self.sides = [[angle] for angle in each]
+            return time, Joints(front, rear, tuple(each))
         return time, Belts(signs.x * _number(device, "speed", message.speed, _FASTEST))
 
     def _check_posture(self, time: float) -> None:

@@ -24,7 +24,7 @@ from flipperctl.core import observation as layout
 from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
-from flipperctl.core.targets import ACTIONS, JOINTS, ActionKind, TargetRule
+from flipperctl.core.targets import JOINTS, ActionKind, Flippers, TargetRule
 from flipperctl.errors import MissingExtraError, PolicyError, other_format
 from flipperctl.runtime.devices import SECTION, Devices, devices_of
 
@@ -87,8 +87,8 @@ class Interface:
     frames: int
     """Number of consecutive observations that form one input of the network, oldest first."""
     actions: NDArray[np.float64]
-    """Turns of the front and rear pairs by each action, (9, 2), or by a rate of 1 of each pair,
-    (2, 2), in frame R [rad]."""
+    """Turn of each joint by each action, (3^J, J), or by a rate of 1 of each joint, (J, J), in
+    frame R [rad]."""
     targets: TargetRule
     """How an action turns the flippers."""
     decision_period: float
@@ -115,11 +115,18 @@ class Interface:
     """The robot's devices; None if they were not exported with the policy."""
     sides: bool = False
     """Whether the heights of both sides follow, and the roll stands before the angles."""
+    flippers: Flippers = "pairs"
+    """Whether the left and the right flippers turn together, or each of the four alone."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the J joints, in the order of angles and turns."""
+        return JOINTS[self.flippers]
 
     @property
     def kind(self) -> ActionKind:
         """Whether the outputs are Q-values of actions, or rates from -1 to 1."""
-        return "turns" if len(self.actions) == len(ACTIONS) else "rates"
+        return "rates" if len(self.actions) == len(self.joints) else "turns"
 
     @property
     def output(self) -> str:
@@ -301,6 +308,10 @@ def _exactly(value: Any) -> _Rule:
     return _Rule(json.dumps(value), lambda v: v == value)
 
 
+def _one_of(*values: Any) -> _Rule:
+    return _Rule(" or ".join(map(json.dumps, values)), lambda v: v in values)
+
+
 def _list(item: _Rule, *lengths: int) -> _Rule:
     """Return the rule of a list of one of these lengths, or of any."""
     count = f" of {' or '.join(map(str, lengths))}" if lengths else ""
@@ -360,11 +371,13 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     # The observation, and what the outputs mean
     bins, highest = entry("bins", _COUNT), entry("highest", _FLAG)
     sides = entry("sides", _FLAG, "false")
-    size = layout.heights(bins, highest, sides) + len(layout.angles(sides))
+    known: dict[tuple[str, ...], Flippers] = {names: word for word, names in JOINTS.items()}
+    flippers = known[tuple(entry("joints", _one_of(*map(list, known))))]
+    joints = len(JOINTS[flippers])
+    size = layout.heights(bins, highest, sides) + len(layout.angles(sides, joints))
     observation = entry("observation", _list(_mapping(Quantity), size))
-    entry("joints", _exactly(list(JOINTS)))
-    pairs = _list(_list(_NUMBER, len(JOINTS)), len(ACTIONS), len(JOINTS))  # or of rates
-    actions = np.array(entry("actions", pairs), dtype=np.float64)
+    rows = _list(_list(_NUMBER, joints), 3**joints, joints)  # or of rates
+    actions = np.array(entry("actions", rows), dtype=np.float64)
     actions.setflags(write=False)
     numbers = _Rule(
         "a mapping of names to numbers",
@@ -404,6 +417,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         map_quality=optional("map", MapQuality),
         devices=_devices(metadata, where),
         sides=sides,
+        flippers=flippers,
     )
 
 

@@ -8,6 +8,7 @@ acknowledged.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,6 +24,7 @@ from flipperctl.runtime.devices import Devices
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.point_cloud import PointTimes, read_cloud
 from flipperctl.runtime.policy import OnnxPolicy
+from flipperctl.runtime.states import Angles
 
 BELTS = "belts"
 """Name of the belts among the joints of a command."""
@@ -315,12 +317,12 @@ class RobotNode:
         if shadow:
             return None, diagnosis
         # Who commands: the operator, the policy, or nobody, for whom the belts stand.
-        pair, speed = answer.targets, self.speed if answer.drive else 0.0
+        targets, speed = answer.targets, self.speed if answer.drive else 0.0
         if source == "operator":
-            pair, speed = self._by_hand(elapsed)
+            targets, speed = self._by_hand(elapsed)
         elif source == "nobody":
-            pair, speed = None, 0.0
-        return self._command(now, pair, speed, source), diagnosis
+            targets, speed = None, 0.0
+        return self._command(now, targets, speed, source), diagnosis
 
     def _tell_missing(self) -> None:
         """Tell of devices that should have sent something by now."""
@@ -351,14 +353,15 @@ class RobotNode:
         self._goal = front, rear
         return self._goal, belts * self.speed
 
-    def _command(
-        self, now: float, pair: tuple[float, float] | None, speed: float, source: Source
-    ) -> Command:
+    def _command(self, now: float, targets: Angles | None, speed: float, source: Source) -> Command:
         """Return a command in the names and units of the robot."""
         joints, names, angles = self.devices.joints, [], []
-        for which, angle in zip((joints.front, joints.rear), pair or (), strict=False):
-            names += [name.lstrip("-") for name in which]
-            angles += [(-angle if n.startswith("-") else angle) / joints.scale for n in which]
+        half = len(targets := targets or ()) // 2
+        for which, ends in ((joints.front, targets[:half]), (joints.rear, targets[half:])):
+            # The joints of a pair have one target in common.
+            for name, angle in zip(which, itertools.cycle(ends), strict=False):
+                names.append(name.lstrip("-"))
+                angles.append((-angle if name.startswith("-") else angle) / joints.scale)
         speeds = [math.nan] * len(names)
         return Command(
             time=now,

@@ -7,6 +7,7 @@ as in the simulator. Out: Q-values, actions and the risk, in about ten microseco
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -16,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from flipperctl.core import observation as layout
 from flipperctl.core.observation import bin_heights
 from flipperctl.core.risk import LAGS, EpisodeRisk, Escape, Place, RiskSign
-from flipperctl.core.targets import ACTIONS, Action, as_action, rates_of
+from flipperctl.core.targets import Action, as_action, rates_of
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import (
     INPUT,
@@ -63,6 +64,11 @@ class _BoundRisk:
                 f"{path}: the risk is not a finite number; the file is damaged, or the observation "
                 "is far from those of the training"
             )
+
+
+def _each(angle: Any) -> tuple[Any, ...]:
+    """Return the angle of a pair, or the angles of its left and right flippers."""
+    return tuple(angle) if isinstance(angle, Sequence | np.ndarray) else (angle,)
 
 
 class OnnxPolicy:
@@ -138,8 +144,8 @@ class OnnxPolicy:
         self,
         points: ArrayLike,
         *,
-        front: float,
-        rear: float,
+        front: float | Sequence[float],
+        rear: float | Sequence[float],
         pitch: float,
         frame: Frame = "L",
         sides: tuple[ArrayLike, ArrayLike] | None = None,
@@ -150,8 +156,9 @@ class OnnxPolicy:
         It is computed as in the simulator. ``points``: ground below and around the robot in its
         side plane, (P, 2) of x (forward) and z (up) [m] from the chassis centre, in any order.
         Points beyond the bins are ignored. ``frame`` of the points: ``L`` is level, ``R`` is fixed
-        to the chassis. ``front``, ``rear``: angles of the flippers in frame
-        R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
+        to the chassis. ``front``, ``rear``: angles of the flippers in frame R, above the chassis
+        positive, each of a pair, or of the left and the right one where each of four turns alone
+        [rad]; ``pitch``: nose up positive [rad].
         A policy with sides takes the same points below the left and below the right tracks as
         ``sides``, by default ``points`` for both, and the ``roll``, left side up positive [rad].
 
@@ -164,8 +171,14 @@ class OnnxPolicy:
             raise PolicyError(
                 f"{self.path}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed"
             )
-        named = {"front": front, "rear": rear, "pitch": pitch, "roll": roll}
-        for name, angle in named.items():
+        flippers = [*_each(front), *_each(rear)]
+        if len(flippers) != len(self.interface.joints):
+            raise PolicyError(
+                f"{self.path}: there are {len(flippers)} angles of flippers; those of "
+                f"{', '.join(self.interface.joints)} are allowed"
+            )
+        named = [*zip(self.interface.joints, flippers, strict=True), ("pitch", pitch)]
+        for name, angle in [*named, ("roll", roll)]:
             try:
                 finite = -_LARGEST <= angle <= _LARGEST
             except (TypeError, ValueError) as error:
@@ -182,7 +195,7 @@ class OnnxPolicy:
             heights = np.concatenate([heights, *both])
         heights = np.resize(heights, self.interface.heights)
         tilted = roll if with_sides else None
-        return layout.assemble(heights, front=front, rear=rear, pitch=pitch, roll=tilted)
+        return layout.assemble(heights, flippers, pitch=pitch, roll=tilted)
 
     def _heights(self, points: ArrayLike, pitch: float) -> NDArray[np.float64]:
         """Return the heights of the bins by points (P, 2), which are pitched by so much [rad]."""
@@ -212,7 +225,7 @@ class OnnxPolicy:
         """Return the index of an action, a row of ``interface.actions``, or rates.
 
         An index means the largest Q-value, unless ``interface.escape`` has it drawn. Rates are of
-        the front and the rear pair, each from -1 to 1. Call it only while the belts drive
+        all joints, each from -1 to 1. Call it only while the belts drive
         ahead, as in training: a parked robot looks like a stuck one. After a stop, call ``reset``
         first.
 
@@ -260,27 +273,28 @@ class OnnxPolicy:
     def next_targets(
         self, targets: ArrayLike, angles: ArrayLike, action: Action
     ) -> NDArray[np.float64]:
-        """Return the angles to which an action turns the front and the rear flippers, (2,) [rad].
+        """Return the angles to which an action turns the joints, (J,) [rad].
 
         ``targets``: the last targets, or the measured angles at the start of an episode;
-        ``angles``: the measured angles. Both are of the front and the rear flippers in frame R,
-        (2,) [rad]. The rule is ``interface.targets``, as in the environment.
+        ``angles``: the measured angles. Both are in the order of ``interface.joints`` in frame R,
+        (J,) [rad]. The rule is ``interface.targets``, as in the environment.
 
         Raises:
-            PolicyError: an argument is not two numbers within ±π, or there is no such action.
+            PolicyError: an argument is not J numbers within ±π, or there is no such action.
             NonFiniteError: an angle is NaN or infinite.
         """
-        parsed = as_action(action)
+        joints = len(self.interface.joints)
+        parsed = as_action(action, joints)
         if parsed is None or isinstance(parsed, tuple) is not self._rates:
             allowed = (
-                "two rates from -1 to 1 are"
+                f"{joints} rates from -1 to 1 are"
                 if self._rates
-                else f"a whole number from 0 to {len(ACTIONS) - 1} is"
+                else f"a whole number from 0 to {3**joints - 1} is"
             )
             raise PolicyError(
                 f"{self.path}: there is no action {str(action)[:40]}; {allowed} allowed"
             )
-        last, measured = self._pair("targets", targets), self._pair("angles", angles)
+        last, measured = self._angles("targets", targets), self._angles("angles", angles)
         table = self.interface.actions
         turns = (table[parsed] if isinstance(parsed, int) else np.array(parsed) @ table).tolist()
         return np.array(self.interface.targets.next_targets(last, measured, turns))
@@ -296,21 +310,23 @@ class OnnxPolicy:
         coordinates: Place = place.tolist()
         return coordinates
 
-    def _pair(self, name: str, angles: ArrayLike) -> list[float]:
-        pair = self._real(angles, np.float64, f"{name} are")
-        if pair.shape != (2,):
-            raise PolicyError(f"{self.path}: the {name} have shape {pair.shape}; (2,) is allowed")
-        if not np.isfinite(pair).all():
-            raise NonFiniteError(f"{self.path}: the {name} are {pair}; finite numbers are allowed")
-        if not (np.abs(pair) <= LARGEST_ANGLE).all():
-            raise PolicyError(f"{self.path}: the {name} are {pair} rad; ±π is allowed: {DEGREES}")
-        numbers: list[float] = pair.tolist()
+    def _angles(self, name: str, values: ArrayLike) -> list[float]:
+        angles = self._real(values, np.float64, f"{name} are")
+        if angles.shape != (shape := (len(self.interface.joints),)):
+            text = f"{self.path}: the {name} have shape {angles.shape}; {shape} is allowed"
+            raise PolicyError(text)
+        if not np.isfinite(angles).all():
+            text = f"{self.path}: the {name} are {angles}; finite numbers are allowed"
+            raise NonFiniteError(text)
+        if not (np.abs(angles) <= LARGEST_ANGLE).all():
+            raise PolicyError(f"{self.path}: the {name} are {angles} rad; ±π is allowed: {DEGREES}")
+        numbers: list[float] = angles.tolist()
         return numbers
 
     def q_values(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Return the Q-values (9,) of one input (frames · n,), or (B, 9) of a batch of B.
+        """Return the Q-values (3^J,) of one input (frames · n,), or (B, 3^J) of a batch of B.
 
-        A file with rates returns these, (2,) or (B, 2).
+        A file with rates returns these, (J,) or (B, J).
 
         An input is ``interface.frames`` observations, oldest first; the observations stored by
         ``act`` are neither read nor changed.

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from flipperctl.runtime.messages import Limits
 
-Pair = tuple[float, float]
+Angles = tuple[float, ...]
+"""Angle of each joint, (J,) [rad]."""
 State = Literal["waiting", "standby", "driving", "holding", "stopped", "latched"]
 Event = Literal["ready", "parked", "unsure", "fault", "stop", "latch", "acknowledge"]
 
@@ -189,10 +190,10 @@ class CommandWatch:
     def __init__(self) -> None:
         self._stamp = self._until = -math.inf
         self._drive = False
-        self._angles: Pair | None = None
+        self._angles: Angles | None = None
 
     def take(
-        self, now: float, time: float, valid_for: float, drive: bool, angles: Pair | None
+        self, now: float, time: float, valid_for: float, drive: bool, angles: Angles | None
     ) -> None:
         """Receive a command that was sent at ``time`` and counts for ``valid_for`` [s].
 
@@ -209,6 +210,6 @@ class CommandWatch:
         """Return whether the belts may run."""
         return self._drive and now < self._until
 
-    def angles(self, now: float) -> Pair | None:
+    def angles(self, now: float) -> Angles | None:
         """Return where the flippers are to be turned [rad]; None: send them nothing."""
         return self._angles if now < self._until else None

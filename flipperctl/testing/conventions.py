@@ -24,8 +24,8 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.config import EnvConfig
-from flipperctl.core.observation import ANGLES
-from flipperctl.core.targets import JOINTS, turns
+from flipperctl.core.observation import angles
+from flipperctl.core.targets import alike, angles_of, by_joint, means, turns
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.env.placed import place as place_checked
 from flipperctl.errors import ConformanceError
@@ -134,8 +134,8 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
     for pair, index in (("front", 0), ("rear", 1)):
         world = place(_FLAT, 0.0)
         targets = [step if i == index else 0.0 for i in range(2)]
-        world.command(*targets)
-        angles = world.advance(samples)[-1, 3:]
+        world.command(*alike(targets, len(robot.joints)))
+        angles = means(world.advance(samples)[-1, 3:].tolist())
         yield probe(
             f"{pair} flippers turned up by one action", "rad", angles[index], step, 0.15 * step
         )
@@ -160,7 +160,8 @@ def _lifting(probe: Any, world: World, pair: str, index: int, robot: Robot) -> I
     # The flippers must still turn at the end, so that the pitch rate is of a moving robot.
     samples = math.ceil(100 * min(0.5, 0.8 * robot.angle_limit / robot.flipper_speed))
     turned = samples / 100 * robot.flipper_speed
-    world.command(*[-robot.angle_limit if i == index else 0.0 for i in range(2)])
+    targets = [-robot.angle_limit if i == index else 0.0 for i in range(2)]
+    world.command(*alike(targets, len(robot.joints)))
     before = world.advance(samples)[-1, 2]
     rate = world.state().pitch_rate
     pitch = world.advance(2)[-1, 2]
@@ -186,8 +187,7 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     state = RobotState(
         np.array([0.0, radius]),
         pitch=0.3,
-        front=0.2,
-        rear=-0.1,
+        **by_joint(alike((0.2, -0.1), len(layout.joints))),
         velocity=np.zeros(2),
         pitch_rate=0.0,
         time=0.0,
@@ -207,19 +207,21 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     # In frame L, which stays level at any pitch
     yield probe("first height, behind the robot", "m", 0, -radius)
     yield probe("last height, on the step ahead", "m", layout.bins - 1, _STEP - radius)
-    yield probe("front flippers", "rad", layout.size - 3, 0.2)
-    yield probe("rear flippers", "rad", layout.size - 2, -0.1)
+    first = layout.size - 1 - len(layout.joints)
+    for at, (joint, angle) in enumerate(zip(layout.joints, angles_of(state), strict=True), first):
+        yield probe(f"{joint.replace('_', ' ')} flippers", "rad", at, angle)
     yield probe("pitch, nose up", "rad", layout.size - 1, 0.3)
 
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
     """Yield the probes of an exported policy's actions, targets and timing against a robot's."""
-    for index, row in enumerate(turns(robot.angle_step, interface.kind).tolist()):
-        for side, (pair, expected) in enumerate(zip(JOINTS, row, strict=True)):
-            turned = float(interface.actions[index, side])
-            yield Probe(
-                file, f"turn of the {pair} pair by action {index}", "rad", turned, expected, 1e-6
-            )
+    joints = interface.joints
+    for index, row in enumerate(turns(robot.angle_step, interface.kind, len(joints)).tolist()):
+        for at, (joint, expected) in enumerate(zip(joints, row, strict=True)):
+            name = f"{joint} pair" if len(joints) == 2 else joint.replace("_", " ")
+            turned = float(interface.actions[index, at])
+            what = f"turn of the {name} by action {index}"
+            yield Probe(file, what, "rad", turned, expected, 1e-6)
 
     # Targets and timing, which the controller on a robot computes from the file
     rule = interface.targets
@@ -228,5 +230,6 @@ def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Prob
     yield Probe(file, window, "rad", rule.window, robot.angle_step, 1e-6)
     period = interface.decision_period
     yield Probe(file, "time between two actions", "s", period, robot.decision_period, 1e-6)
-    right = tuple(quantity.name for quantity in interface.observation[-3:]) == ANGLES
+    names = angles(joints=len(joints))
+    right = tuple(q.name for q in interface.observation[-len(names) :]) == names
     yield Probe(file, "order of the angles: front, rear, pitch", "-", float(right), 1.0, 0.0)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flipperctl.api import ACTIONS, Controller, Network, ObservationLayout, Perception, Simulator
-from flipperctl.core.targets import ALLOWED, Action, as_action
+from flipperctl.core.targets import Action, allowed, as_action
 from flipperctl.errors import (
     ConformanceError,
     ExportError,
@@ -194,11 +194,11 @@ def onnx(network: Network) -> None:
 def _built(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.nn.Module:
     import torch
 
-    from flipperctl.agent.networks import Noise, build_network
+    from flipperctl.agent.networks import Noise, build_policy
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        module = build_network(network, layout, len(ACTIONS))
+        module = build_policy(network, layout)
     Noise(module).draw(np.random.default_rng(0))  # without noise, its weights have no gradient
     return module
 
@@ -312,7 +312,7 @@ class _Player:
         require(
             as_action(action) is not None,
             f"act returned {action!r} at decision {len(self._actions)} of scene {self._scene}; "
-            f"{ALLOWED}",
+            f"{allowed()}",
         )
         self._actions.append(action)
         return action

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flipperctl.api import FloatArray, Transition, measure
+from flipperctl.core.targets import turned
 
 from ..posture import with_masses
 from .latest import stored
@@ -35,10 +36,11 @@ def t_cost(episode: Sequence[Transition]) -> float:
 
 @measure("flipper_travel", unit="rad", reached_only=True, better="lower")
 def flipper_travel(episode: Sequence[Transition]) -> float:
-    """Sum of the absolute turns of both flipper pairs between decisions [rad]."""
-    return _total(
-        abs(t.after.front - t.before.front) + abs(t.after.rear - t.before.rear) for t in episode
-    )
+    """Sum of the absolute turns of both flipper pairs between decisions [rad].
+
+    Of four flippers, the mean of both sides counts.
+    """
+    return _total(sum(turned(t)) for t in episode)
 
 
 @measure("flipper_energy", unit="J", digits=1, reached_only=True, better="lower", in_tables=False)

@@ -15,6 +15,7 @@ from flipperctl.api import (
     limited,
     reward,
 )
+from flipperctl.core.targets import turned
 
 
 @reward("progress")
@@ -129,8 +130,7 @@ class Travel(RewardTerm):
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]."""
-        front, rear = t.after.front - t.before.front, t.after.rear - t.before.rear
-        return -limited((abs(front) + abs(rear)) / (2 * t.robot.angle_step), 0.0, 1.0)
+        return -limited(sum(turned(t)) / (2 * t.robot.angle_step), 0.0, 1.0)
 
 
 @reward("time")
@@ -152,7 +152,7 @@ class Time(RewardTerm):
 class Smoothness(RewardTerm):
     """Penalise a changed action; stopping costs half as much as reversing.
 
-    It is -1 if both pairs reverse. This is the first-order temporal smoothness of Mysore et al.
+    It is -1 if all flippers reverse. This is the first-order temporal smoothness of Mysore et al.
     2021 ("Regularizing Action Policies for Smooth Control with Reinforcement Learning").
     """
 
@@ -161,8 +161,8 @@ class Smoothness(RewardTerm):
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]."""
-        (front, rear), (last_front, last_rear) = _pairs(t.action), _pairs(t.previous_action)
-        penalty: float = -(abs(front - last_front) + abs(rear - last_rear)) / 4
+        turns = list(zip(_by_joint(t.action), _by_joint(t.previous_action), strict=True))
+        penalty: float = -sum(abs(turn - last) for turn, last in turns) / (2 * len(turns))
         return penalty
 
 
@@ -199,6 +199,6 @@ class Impact(RewardTerm):
         return -limited(peak - self.tolerance, 0.0, self.worst) / self.worst
 
 
-def _pairs(action: Any) -> Any:
-    """Return the turns of the front and of the rear pair: two integers, or two arrays (M,)."""
+def _by_joint(action: Any) -> Any:
+    """Return the turn of each joint: J integers, or J arrays (M,)."""
     return action if isinstance(action, tuple) else action.T

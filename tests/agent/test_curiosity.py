@@ -11,7 +11,7 @@ from tests.agent.learners import fixed_batch, learner
 
 
 def test_the_reward_is_half_the_squared_error_of_the_features() -> None:
-    made = Curiosity(2, seed=0, device=torch.device("cpu"))
+    made = Curiosity(2, 9, seed=0, device=torch.device("cpu"))
     for module in made.network.modules():
         if isinstance(module, torch.nn.Linear):
             torch.nn.init.zeros_(module.weight)
@@ -26,7 +26,7 @@ def test_the_reward_is_half_the_squared_error_of_the_features() -> None:
 
 
 def test_what_is_seen_often_is_no_longer_curious() -> None:
-    made = Curiosity(fixed_batch().observation.shape[1], seed=1, device=torch.device("cpu"))
+    made = Curiosity(fixed_batch().observation.shape[1], 9, seed=1, device=torch.device("cpu"))
     batch = fixed_batch(9)
     first = float(made.reward(batch).mean())
     losses = [made.step(batch, 1e-3) for _ in range(200)]

@@ -46,8 +46,8 @@ def test_bins_and_frames_by_hand() -> None:
 def test_sides_and_roll_stand_between_the_numbers_of_every_layout() -> None:
     assert (observation.heights(5, True, True), observation.heights(5, False, True)) == (30, 15)
     assert observation.angles(True) == ("roll", *observation.angles())
-    plain = observation.assemble(np.arange(2.0), front=0.1, rear=0.2, pitch=0.3)
-    sided = observation.assemble(np.arange(6.0), front=0.1, rear=0.2, pitch=0.3, roll=0.4)
+    plain = observation.assemble(np.arange(2.0), (0.1, 0.2), pitch=0.3)
+    sided = observation.assemble(np.arange(6.0), (0.1, 0.2), pitch=0.3, roll=0.4)
     assert sided.tolist() == [*range(6), np.float32(0.4), *plain[-3:].tolist()]
     assert ObservationLayout(bins=5, sides=True).scale.tolist() == [*30 * [0.5], *4 * [np.pi / 3]]
 

@@ -95,7 +95,7 @@ def test_two_readers_find_the_numbers_of_the_episode(bag, played, read):
 
 def test_the_signs_and_stamps_are_those_of_ros():
     make = Messages()
-    joints = make.joint_state(1.25, front=0.2, rear=0.3)
+    joints = make.joint_state(1.25, 0.2, 0.3)
     assert joints.position.tolist() == [-0.2, -0.2, 0.3, 0.3]
     assert (joints.header.stamp.sec, joints.header.stamp.nanosec) == (EPOCH + 1, 250_000_000)
     state = RobotState(

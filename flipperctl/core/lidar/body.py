@@ -8,7 +8,7 @@ Chassis and flippers are boxes as long as the tracks, round ends included.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, TypeVar
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from flipperctl.core import FloatArray
 from flipperctl.core.lidar.messages import Joints
+from flipperctl.core.targets import alike, angles_of
 
 
 def attitude(roll: float, pitch: float, yaw: float) -> FloatArray:
@@ -72,6 +73,7 @@ class _Box(NamedTuple):
     inner: float  # smallest distance of its parts from the middle plane of the robot [m]
     outer: float  # largest distance of its parts from the middle plane of the robot [m]
     tilt: float  # angle of its x axis above the x axis of frame R [rad]
+    side: int = 0  # 1: on the left of that plane alone, -1: on the right alone, 0: on both
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,12 @@ class Body:
     overall_width: float  # width over the outer sides of the flippers
 
     def contains(
-        self, points: FloatArray, front: float, rear: float, margin: float
+        self, points: FloatArray, flippers: Sequence[float], margin: float
     ) -> NDArray[np.bool_]:
-        """Return which ``points`` (P, 3) [m] lie within the robot or closer than ``margin``."""
+        """Return which ``points`` (P, 3) [m] lie within the robot or closer than ``margin``.
+
+        ``flippers``: angles of the joints, (J,) [rad].
+        """
         # Most points lie far from the robot; a coarse box drops them before the exact shapes.
         result = np.zeros(len(points), np.bool_)
         reach = self.chassis_length / 2 + self.flipper_length + margin
@@ -95,9 +100,10 @@ class Body:
         near &= (np.abs(points[:, 0]) <= reach) & (np.abs(points[:, 2]) <= reach)
         points = points.compress(near, axis=0)
         inside = np.zeros(len(points), np.bool_)
-        x, side, z = np.ascontiguousarray(points.T)
-        side = np.abs(side)
-        for box in (self._chassis, *self._flippers(front, rear)):
+        x, y, z = np.ascontiguousarray(points.T)
+        both = np.abs(y)
+        for box in (self._chassis, *self._flippers(flippers)):
+            side = box.side * y if box.side else both
             along, above = turned(x - box.x, z - box.z, box.tilt)
             inside |= (
                 (np.abs(along) <= box.half_length + margin)
@@ -116,10 +122,10 @@ class Body:
         return self._nearest(origin, directions, [self._chassis])
 
     def distances_to_flippers(
-        self, origin: FloatArray, directions: FloatArray, front: float, rear: float
+        self, origin: FloatArray, directions: FloatArray, flippers: Sequence[float]
     ) -> FloatArray:
         """Return the distances to the flippers, (R,), as ``distances_to_chassis`` does [m]."""
-        return self._nearest(origin, directions, self._flippers(front, rear))
+        return self._nearest(origin, directions, self._flippers(flippers))
 
     def may_hit_flippers(self, origin: FloatArray, directions: FloatArray) -> NDArray[np.bool_]:
         """Return along which directions a flipper can be hit, at whatever angles, (R,)."""
@@ -142,7 +148,7 @@ class Body:
             nearest[hit] = np.minimum(nearest[hit], enter[hit])
         return nearest
 
-    def circles(self, pitch: float, front: float, rear: float) -> FloatArray:
+    def circles(self, pitch: float, flippers: Sequence[float]) -> FloatArray:
         """Return the centres of circles that the tracks cover in frame L, (C, 2) x and z [m].
 
         They lie along chassis and flippers, with the radius of the tracks.
@@ -153,7 +159,8 @@ class Body:
         along = np.linspace(0.0, 1.0, _CIRCLES)[:, None]
         ends = np.array([[-hinge, 0.0], [hinge, 0.0]])
         parts = [ends[0] + along * (ends[1] - ends[0])]
-        for end, angle, ahead in ((ends[1], front, 1.0), (ends[0], rear, -1.0)):
+        places = (ends[1], 1.0), (ends[0], -1.0)
+        for (end, ahead), angle in zip(alike(places, len(flippers)), flippers, strict=True):
             parts.append(end + along * axle * [ahead * math.cos(angle), math.sin(angle)])
 
         # Frame R to frame L: only the pitch is between them.
@@ -171,11 +178,15 @@ class Body:
         front = _Box(hinge, 0.0, self.flipper_length / 2, inner, outer, 0.0)
         return front, front._replace(x=-hinge)
 
-    def _flippers(self, front: float, rear: float) -> Iterator[_Box]:
+    def _flippers(self, angles: Sequence[float]) -> Iterator[_Box]:
+        """Yield the box of each joint, on both sides if it turns a pair."""
         middle = self.flipper_length / 2 - self.track_radius  # from the hinge [m]
-        for hinge, angle, ahead in zip(self._hinges(), (front, rear), (1.0, -1.0), strict=True):
+        front, rear = self._hinges()
+        hinges = alike(((front, 1.0), (rear, -1.0)), len(angles))
+        sides = (0, 0) if len(angles) == 2 else (1, -1, 1, -1)
+        for (hinge, ahead), angle, side in zip(hinges, angles, sides, strict=True):
             x, z = hinge.x + ahead * middle * math.cos(angle), middle * math.sin(angle)
-            yield hinge._replace(x=x, z=z, tilt=ahead * angle)
+            yield hinge._replace(x=x, z=z, tilt=ahead * angle, side=side)
 
 
 def _crossed(
@@ -184,20 +195,25 @@ def _crossed(
     """Yield where lines along ``directions`` (R, 3) enter and leave each box, each (R,) [m].
 
     A line that enters behind where it leaves misses the box. Boxes beside the robot's middle plane
-    stand on both sides of it.
+    stand on both sides of it, unless they have a side.
     """
-    middle = origin[1] == 0.0  # both sides of the robot are then equal
-    sideways = np.abs(directions[:, 1]) if middle else directions[:, 1]
+    mirrored = np.abs(directions[:, 1])
     for box in boxes:
+        # In the middle plane both sides of the robot are equal.
+        middle = origin[1] == 0.0 and not box.side
+        sideways = mirrored if middle else directions[:, 1]
         x, z = turned(float(origin[0]) - box.x, float(origin[2]) - box.z, box.tilt)
         along, above = turned(directions[:, 0], directions[:, 2], box.tilt)
         spans = [
             _span(x, along, -box.half_length, box.half_length),
             _span(z, above, -half_height, half_height),
         ]
-        sides = ((box.inner, box.outer), (-box.outer, -box.inner))
-        whole = ((-box.outer, box.outer),)
-        for low, high in whole if box.inner <= 0 else sides[:1] if middle else sides:
+        sides = [(box.inner, box.outer), (-box.outer, -box.inner)]
+        if box.inner <= 0:
+            sides = [(-box.outer, box.outer)]
+        elif box.side or middle:
+            sides = sides[1:] if box.side < 0 else sides[:1]
+        for low, high in sides:
             both = [*spans, _span(float(origin[1]), sideways, low, high)]
             enter = np.maximum.reduce([s for s, _ in both])
             yield enter, np.minimum.reduce([s for _, s in both])
@@ -255,6 +271,6 @@ class Mount:
         x, y, z = points.T
         mask = np.asarray(x * x + y * y + z * z >= self.near**2)
         points = self.position + points.compress(mask, axis=0) @ self.turn.T
-        others = ~body.contains(points, joints.front, joints.rear, self.margin)
+        others = ~body.contains(points, angles_of(joints), self.margin)
         mask[mask] = others
         return points.compress(others, axis=0), mask

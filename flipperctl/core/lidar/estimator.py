@@ -39,6 +39,7 @@ from flipperctl.core.lidar.scans import (
     without_mixed,
 )
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
+from flipperctl.core.targets import angles_of
 
 _OLDEST = 5.0  # largest age of the newest message with which an estimate is made [s]
 
@@ -144,7 +145,7 @@ class LidarEstimator:
     def _stands_level(self, pose: Pose) -> bool:
         """Return whether the robot may stand on level ground, by its pitch and its flippers."""
         # On lowered flippers the chassis may pitch more.
-        lowered = min(self._joints.front, self._joints.rear) < -_LOWERED
+        lowered = min(angles_of(self._joints)) < -_LOWERED
         limit = _LEVEL if lowered else min(_LEVEL, _LEVEL_ON_BELTS + 3 * self._tilt())
         return abs(pose.pitch) <= limit
 
@@ -177,12 +178,12 @@ class LidarEstimator:
         unknown = abs(self._speed) * self._age(time)
         self._start(self._pose)
         pose, joints = self._pose, self._joints
-        circles = self._body.circles(pose.pitch, joints.front, joints.rear)
+        circles = self._body.circles(pose.pitch, angles_of(joints))
         position, radius = np.array([pose.x, pose.y, pose.z]), self._body.track_radius
         ground = self._ground.sensed(position, pose.yaw, circles, radius, unknown, pose.roll)
         ground = replace(ground, position=np.array([pose.x, pose.z]))
-        angles = {"front": joints.front, "rear": joints.rear}
-        return ground, SensedAngles(**angles, pitch=pose.pitch, roll=pose.roll)
+        pair, four = (joints.front, joints.rear), joints.flippers
+        return ground, SensedAngles(*pair, pitch=pose.pitch, roll=pose.roll, flippers=four)
 
     @property
     def pose(self) -> Pose:
@@ -226,8 +227,8 @@ class LidarEstimator:
 
     def _below(self) -> float:
         """Return the height of the chassis centre above level ground on which it stands [m]."""
-        body, joints = self._body, self._joints
-        lowered = max(0.0, -math.sin(joints.front), -math.sin(joints.rear))
+        body = self._body
+        lowered = max(0.0, *(-math.sin(angle) for angle in angles_of(self._joints)))
         return body.track_radius + lowered * (body.flipper_length - 2 * body.track_radius)
 
     def _add(self, scan: Scan, time: float, pose: Pose) -> None:

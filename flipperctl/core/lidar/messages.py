@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,9 @@ class Joints:
     """Angle of the front flippers in frame R [rad]."""
     rear: float
     """Angle of the rear flippers in frame R [rad]."""
+    flippers: tuple[float, ...] = ()
+    """Angles of four flippers, of which these are means, as in ``SensedAngles``; empty: of pairs
+    [rad]."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,11 @@ _LARGEST = {"x": 1e5, "y": 1e5, "z": 1e5, "speed": 10.0, "yaw_rate": 100.0}
 """Largest position [m], speed [m/s] and rate [rad/s] that a robot can have."""
 _LARGEST_ANGLE = 1e4  # largest angle; headings may count turns [rad]
 _LIMITS: Mapping[type[Pose | Joints | Inertial | Belts], Mapping[str, float]] = {
-    kind: {field.name: _LARGEST.get(field.name, _LARGEST_ANGLE) for field in fields(kind)}
+    kind: {
+        field.name: _LARGEST.get(field.name, _LARGEST_ANGLE)
+        for field in fields(kind)
+        if field.name != "flippers"
+    }
     for kind in (Inertial, Belts, Joints, Pose)
 }
 """The largest number of each field of a message, by its class."""
@@ -137,8 +145,11 @@ def checked(
     if isinstance(value, Scan):
         return at, checked_scan(value)
     kind, limits = next(entry for entry in _LIMITS.items() if isinstance(value, entry[0]))
-    numbers = {name: number(getattr(value, name), name) for name in limits}
+    numbers: dict[str, Any] = {name: number(getattr(value, name), name) for name in limits}
     within = all(abs(numbers[name]) <= most for name, most in limits.items())
+    flippers = tuple(number(angle, "an angle") for angle in getattr(value, "flippers", ()))
+    within &= all(abs(angle) <= _LARGEST_ANGLE for angle in flippers)
+    numbers |= {"flippers": flippers} if flippers else {}
     return (at, kind(**numbers)) if within else None
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray, Instrument, RayWorld, RobotState
 from flipperctl.core.lidar.body import Body, Mount, attitude, mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan, SpecificForce
+from flipperctl.core.targets import angles_of
 
 _VERTICAL = 1e-12
 """Difference of 1 and the z part of the vertical up to which world's z axis is vertical [-]."""
@@ -169,7 +170,7 @@ class Encoders(Instrument):
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Joints:
         """Return the true angles: encoders of geared joints err by far less than a policy feels."""
-        return Joints(front=state.front, rear=state.rear)
+        return Joints(front=state.front, rear=state.rear, flippers=state.flippers)
 
 
 class Tracking(Instrument):
@@ -217,11 +218,11 @@ class OwnHits:
         self._near = np.flatnonzero(body.may_hit_flippers(origin, rays))
         self._rays = rays[self._near]
 
-    def distances(self, front: float, rear: float) -> FloatArray:
+    def distances(self, flippers: Sequence[float]) -> FloatArray:
         """Return the distance to the robot along each ray, (R,), infinite if it misses it [m]."""
         distances = self._to_chassis.copy()
-        flippers = self._body.distances_to_flippers(self._origin, self._rays, front, rear)
-        distances[self._near] = np.minimum(distances[self._near], flippers)
+        to_flippers = self._body.distances_to_flippers(self._origin, self._rays, flippers)
+        distances[self._near] = np.minimum(distances[self._near], to_flippers)
         return distances
 
 
@@ -428,7 +429,7 @@ class Scanner(Instrument):
         origin = np.array([x, state.side, z]) + turn @ self._place
         ground = self._world.cast_rays(origin, self._in_robot[part] @ turn.T, self._reach)
         # Ground or the robot itself stops a ray, whichever is nearer.
-        hits = [rays.distances(state.front, state.rear) for rays in robot]
+        hits = [rays.distances(angles_of(state)) for rays in robot]
         return np.minimum(ground, np.concatenate(hits))
 
     def _scan(self, true: FloatArray, ages: FloatArray | None, rng: np.random.Generator) -> Scan:

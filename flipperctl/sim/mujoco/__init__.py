@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from flipperctl.api import Engine, Profile, Robot, Start, World, engine
+from flipperctl.core.targets import Flippers
 from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
@@ -24,6 +25,7 @@ class Mujoco(MujocoSettings, Engine):
     If the profile has a surface, the robot drives over the surface instead.
     """
 
+    flippers: ClassVar[tuple[Flippers, ...]] = ("pairs", "four")
     without_effect: ClassVar[frozenset[str]] = frozenset({"view"})
     added: ClassVar[frozenset[str]] = frozenset({"stagger", "oblique", "mirrored"})
 

@@ -116,8 +116,8 @@ def run(
 ) -> tuple[int, bool]:
     """Fill the rows of ``poses``, one per sample, until a limit is reached or the robot has fallen.
 
-    ``poses`` is (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. ``targets``: of
-    the flippers, (4,) [rad]. ``share``: of the robot's speed at which the belts run [-]. ``sums``:
+    ``poses`` is (S, 7): x [m], z [m], pitch and the hinges' angles [rad]. ``targets``: of the
+    hinges, (4,) [rad]. ``share``: of the robot's speed at which the belts run [-]. ``sums``:
     the servos' work [J] and the roll's changes [rad], to which the run adds, (2,). Return the
     number of filled rows, and whether the run is over.
     """
@@ -142,11 +142,10 @@ def run(
         sums[0] += np.abs(torques / s.substeps * (angles - turned)).sum()
         earlier, roll = roll, roll_of(s.pose, s.up)
         sums[1] += abs(roll - earlier)
-        # The pose, with the mean angles of both sides
+        # The pose of the chassis and of all flippers
         x, z, pitch = s.pose[0], s.pose[2], pitch_of(s.pose, s.up)
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, pitch
-        poses[sample, 3] = (angles[0] + angles[2]) / 2
-        poses[sample, 4] = (angles[1] + angles[3]) / 2
+        poses[sample, 3:] = angles
         if has_fallen(s) or _is_over(x, z, pitch, stop, finish, top, half, slope, end, level):
             return sample + 1, True
     return len(poses), False

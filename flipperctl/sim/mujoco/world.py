@@ -27,6 +27,7 @@ from flipperctl.api import (
     Start,
     View,
 )
+from flipperctl.core.targets import alike, by_joint
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.ground import OVERLAP, height_at
 from flipperctl.sim.mujoco.compiled import (
@@ -127,6 +128,9 @@ class Tracks:
             self._model.geom_friction[:, 0] = np.array([0.0, *usable])[self._places]
 
 
+_ORDER = [0, 2, 1, 3]
+"""Place in ``HINGES`` of the flippers at the front left, front right, rear left and rear right, and
+the other way round."""
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _RAY_GROUPS = np.array([group != ROBOT_GROUP for group in range(6)], np.uint8)
 _BAD = (
@@ -200,7 +204,7 @@ class MujocoWorld:
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
         # The pose of the start, moved off ground that is only in 3-D
-        self.command(start.front, start.rear)
+        self.command(*alike((start.front, start.rear), len(robot.joints)))
         pose = self.data.qpos
         pose[:3] = start.x, side, height_at(start, profile, robot)
         pose[3:7] = _quaternion(start.pitch, yaw)
@@ -231,21 +235,29 @@ class MujocoWorld:
         while (depth := self.penetration()) > OVERLAP and pose[0] > nearest:
             pose[0] = max(nearest, pose[0] - depth)
 
-    def command(self, front: float, rear: float) -> None:
-        """Set the target angles of the flippers in frame R, left and right alike [rad]."""
-        limited = self.robot.clip(front), self.robot.clip(rear)
-        self._targets = np.array(2 * limited)
+    def command(self, *targets: float) -> None:
+        """Set the target angle of each joint in frame R, (J,) [rad]; both flippers of a pair."""
+        limited = list(map(self.robot.clip, targets))
+        self._targets = np.repeat(limited, len(_ORDER) // len(limited))[_ORDER]
+
+    def _angles(self, hinges: FloatArray) -> FloatArray:
+        """Return the angles of the joints, (…, J), by those of the hinges, (…, 4) [rad].
+
+        The angle of a pair is the mean of its sides.
+        """
+        shape = *hinges.shape[:-1], len(self.robot.joints), -1
+        return np.asarray(hinges[..., _ORDER].reshape(shape).mean(axis=-1))
 
     def run_belts(self, share: float) -> None:
         """Run the belts at a share of the robot's speed, from -1 to 1."""
         self._tracks.run(share)
 
     def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Simulate up to ``samples`` sample periods; return the pose at the end of each, (S, 5).
+        """Simulate up to ``samples`` sample periods; return the poses at their ends, (S, 3 + J).
 
         See ``flipperctl.api.World``.
         """
-        poses, done, over = np.empty((samples, 5)), 0, False
+        poses, done, over = np.empty((samples, 3 + len(_ORDER))), 0, False
         while done < samples and not over:
             # The normal forces of a sample limit the friction of the next one.
             until = done + 1 if self._tracks.are_limited else samples
@@ -255,7 +267,7 @@ class MujocoWorld:
             self._tracks.limit(self.data)
         self._samples += done
         self._check_divergence()
-        return poses[:done]
+        return np.column_stack([poses[:done, :3], self._angles(poses[:done, 3:])])
 
     def _check_divergence(self) -> None:
         if any(self.data.warning[bad].number for bad in _BAD):
@@ -297,12 +309,10 @@ class MujocoWorld:
     def state(self) -> RobotState:
         """Return the current state."""
         data, pose = self.data, self.data.qpos
-        front_left, rear_left, front_right, rear_right = pose[HINGES].tolist()
         return RobotState(
             position=np.array(self.position),
             pitch=self.pitch,
-            front=(front_left + front_right) / 2,
-            rear=(rear_left + rear_right) / 2,
+            **by_joint(self._angles(pose[HINGES]).tolist()),
             velocity=data.qvel[[0, 2]],
             pitch_rate=-float(data.qvel[4]),
             time=self.time,

@@ -44,6 +44,7 @@ from flipperctl.core.lidar.body import attitude
 from flipperctl.core.lidar.ground import OFF_LINE, lateral_slope, side_of
 from flipperctl.core.lidar.outline import columns, points_along, polyline
 from flipperctl.core.observation import HALF_WIDTH, SIDES, bin_heights
+from flipperctl.core.targets import angles_of, by_joint
 
 
 @sensor("planar")
@@ -191,11 +192,12 @@ class TerrainSensor:
             self._map_errors.advance(float(state.position[0]), rng)
         points, filled = self._sensed(state.position, rng)
         # The angles, with their constant and their white errors
-        front, rear = state.front + s.flipper_bias, state.rear + s.flipper_bias
+        flippers = [angle + s.flipper_bias for angle in angles_of(state)]
         pitch = state.pitch + s.pitch_bias
         if s.angle_noise > 0:
-            noise = rng.normal(0.0, s.angle_noise, 3)
-            front, rear, pitch = front + noise[0], rear + noise[1], pitch + noise[2]
+            *noise, last = rng.normal(0.0, s.angle_noise, len(flippers) + 1).tolist()
+            flippers = [angle + error for angle, error in zip(flippers, noise, strict=True)]
+            pitch += last
         heights = bin_heights(
             points, s.bins, s.bin_width, highest=s.highest, add_heights=self._rays.add_heights
         )
@@ -204,9 +206,8 @@ class TerrainSensor:
             roll += rng.normal(0.0, s.angle_noise)
         if s.sides:
             heights = self._with_sides(heights, state, rng)
-        angles = built(
-            SensedAngles, front=float(front), rear=float(rear), pitch=float(pitch), roll=float(roll)
-        )
+        posture = by_joint(flippers)
+        angles = built(SensedAngles, **posture, pitch=float(pitch), roll=float(roll))
         # The robot is where its odometry places it.
         odometry = state.position.copy()
         if self._map_errors is not None:

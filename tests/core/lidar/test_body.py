@@ -17,14 +17,14 @@ THIRD = math.pi / 6
 def test_points_of_flippers_and_chassis_are_the_robots_own() -> None:
     near = [[0, 0, 0], [0.7, 0.3, 0], [0.7, 0, 0], [0.7, 0.3, 0.3]]
     points = np.array([*near, [9, 0, 0], [0, 0, -5]])
-    found = BODY.contains(points, 0.0, 0.0, 0.0).tolist()
+    found = BODY.contains(points, (0.0, 0.0), 0.0).tolist()
     assert found == [True, True, False, False, False, False]
     up = np.array([[0.28 + 0.4 * math.cos(1.0), -0.3, 0.4 * math.sin(1.0)]])
-    assert BODY.contains(up, 1.0, 0.0, 0.0).all()
-    assert not BODY.contains(up, 0.0, 1.0, 0.0).any()
+    assert BODY.contains(up, (1.0, 0.0), 0.0).all()
+    assert not BODY.contains(up, (0.0, 1.0), 0.0).any()
     above = np.array([[0.0, 0.0, 0.13]])
-    assert not BODY.contains(above, 0.0, 0.0, 0.02).any()
-    assert BODY.contains(above, 0.0, 0.0, 0.04).all()
+    assert not BODY.contains(above, (0.0, 0.0), 0.02).any()
+    assert BODY.contains(above, (0.0, 0.0), 0.04).all()
 
 
 def test_rays_end_on_the_chassis_and_on_raised_flippers() -> None:
@@ -35,17 +35,17 @@ def test_rays_end_on_the_chassis_and_on_raised_flippers() -> None:
     length = float(np.linalg.norm(aside))
     # The ray sinks to the top of the level flipper, 0.1 m above the centre, at 0.75 of its way.
     level, raised = (
-        BODY.distances_to_flippers(origin, aside / length, front, 0.0) for front in (0.0, 0.5)
+        BODY.distances_to_flippers(origin, aside / length, (front, 0.0)) for front in (0.0, 0.5)
     )
     assert level == pytest.approx([0.75 * length])
     assert raised[0] < level[0]
 
 
 def test_circles_follow_pitch_and_flippers() -> None:
-    circles = BODY.circles(0.0, math.pi / 2, -math.pi / 2)
+    circles = BODY.circles(0.0, (math.pi / 2, -math.pi / 2))
     assert circles.max(axis=0) == pytest.approx([0.28, 0.336])
     assert circles.min(axis=0) == pytest.approx([-0.28, -0.336])
-    nose_up = BODY.circles(math.pi / 2, 0.0, 0.0)
+    nose_up = BODY.circles(math.pi / 2, (0.0, 0.0))
     assert nose_up.max(axis=0) == pytest.approx([0.0, 0.616], abs=1e-12)
 
 

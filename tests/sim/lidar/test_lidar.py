@@ -93,9 +93,9 @@ def test_no_ray_that_can_hit_a_flipper_is_left_out_whatever_the_angles(side: flo
     assert 0.1 < possible.mean() < 0.6  # or nothing is saved
     chassis = BODY.distances_to_chassis(origin, rays)
     for angle in np.linspace(-1.5, 1.5, 13):
-        flippers = BODY.distances_to_flippers(origin, rays, angle, -angle)
+        flippers = BODY.distances_to_flippers(origin, rays, (angle, -angle))
         assert not (np.isfinite(flippers) & ~possible).any()
-        assert (own.distances(angle, -angle) == np.minimum(chassis, flippers)).all()
+        assert (own.distances((angle, -angle)) == np.minimum(chassis, flippers)).all()
 
 
 # Mixed returns at edges and returns that grazing incidence loses

@@ -1,0 +1,96 @@
+"""Four flippers that turn alone: in 3-D, in observations, in networks, and on a robot."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.agent.losses import double_q_target
+from flipperctl.agent.networks import Branches
+from flipperctl.core.targets import actions_of
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.export.policy import export
+from flipperctl.policies.source import ExportedPolicy, load_policy
+from flipperctl.rollout.episode import decisions
+from flipperctl.training.trainer import Trainer
+from tests.short import few
+
+FOUR = {"sim": "mujoco", "robot": {"flippers": "four"}}
+
+
+def test_each_flipper_turns_alone_and_is_perceived() -> None:
+    env = FlipperEnv("uplift", **FOUR, perception={"sides": True})
+    observation, _ = env.reset(seed=1)
+    assert (observation.shape, env.action_space.n) == ((96,), 81)  # type: ignore[attr-defined]
+    step = env.robot.angle_step
+    observation, *_ = env.step(actions_of(4).index((-1, 1, -1, 0)))
+    expected = [-step, step, -step, 0.0]
+    assert env.drive.targets == pytest.approx(expected)
+    assert env.state.flippers == pytest.approx(expected, abs=0.08)  # under load
+    assert observation[-5:-1] == pytest.approx(env.state.flippers, abs=1e-6)
+    assert (env.state.front, env.state.rear) == pytest.approx((0.0, -step / 2), abs=0.08)
+    assert env.state.roll > 0.02  # it stands on the lowered flippers of its left
+    # Rates of all joints
+    env.step((1.0, -0.5, 0.0, -0.25))
+    assert env.transition.action == (1, 0, 0, 0)
+    assert env.drive.targets == pytest.approx([0.0, step / 2, -step, -step / 4], abs=0.08)
+
+
+def test_a_rule_of_pairs_drives_both_sides_alike() -> None:
+    def digest(**more: object) -> list[list[float]]:
+        env = FlipperEnv("uplift", sim="mujoco", **more)
+        policy = load_policy("okada").build(env.config)
+        return [d.poses[-1, :3].tolist() for d in decisions(env, policy, 3)]
+
+    assert digest(robot={"flippers": "four"}) == digest()
+
+
+def test_the_side_plane_refuses_four() -> None:
+    with pytest.raises(ConfigError, match="sim=planar moves pairs alone, not four"):
+        FlipperEnv("uplift", robot={"flippers": "four"})
+
+
+def test_branches_have_the_targets_of_their_paper() -> None:
+    # Tavakoli et al. 2018, Eq. 1: one V, and advantages of each joint less their mean
+    rng = np.random.default_rng(0)
+    value, advantages = rng.normal(size=5), rng.normal(size=(2, 5, 4, 3))
+    dueling = value[:, None, None] + advantages - advantages.mean(axis=3, keepdims=True)
+    # A head that subtracts the mean of all twelve, as Dueling does, gives the same
+    heads = advantages - advantages.mean(axis=(2, 3), keepdims=True) + value[:, None, None]
+    online, target = (Branches(torch.nn.Flatten(), 4)(torch.tensor(h)) for h in heads)
+    assert online.shape == (5, 81)
+    # Eq. 6: the mean over joints of the target's values of the best turns online
+    reward, discount = rng.normal(size=5), rng.random(5)
+    best = dueling[0].argmax(axis=2)
+    after = np.take_along_axis(dueling[1], best[:, :, None], axis=2)[:, :, 0].mean(axis=1)
+    targets = double_q_target(torch.tensor(reward), torch.tensor(discount), online, target)
+    assert targets.tolist() == pytest.approx((reward + discount * after).tolist())
+    turns = np.array(actions_of(4))[online.argmax(dim=1)] + 1
+    assert turns.tolist() == best.tolist()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["turns", "rates"])
+def test_a_training_of_four_drives_equally_from_its_file(tmp_path: Path, kind: str) -> None:
+    pytest.importorskip("stable_baselines3")
+    agent = {"name": "sb3", "algorithm": "sac", "settings": {"learning_starts": 50}}
+    rates = {"agent": agent, "actions": "rates", "network": {"name": "mlp"}}
+    config = few(
+        **{**FOUR, "perception": {"sides": True}, "train.decisions": 120},
+        **(rates if kind == "rates" else {}),
+    )
+    (tmp_path / checkpoint.BEST.parent).mkdir(parents=True)
+    Trainer(config, tmp_path).run()
+    saved, file = checkpoint.read(tmp_path / checkpoint.BEST), tmp_path / "four.onnx"
+    export(saved, file)
+    source = load_policy(str(file))
+    assert source.config().environment().robot == config.robot
+    exported = ExportedPolicy(file)
+    env = FlipperEnv(config=config.environment(), actions=config.actions)
+    for decision in decisions(env, load_policy(str(tmp_path)).build(env.config), 7):
+        action = decision.action if decision.rates is None else decision.rates
+        assert exported.act(decision.perception) == action
+    assert exported.interface.joints[0] == "front_left"
