@@ -215,7 +215,7 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
     """Yield the probes of an exported policy's actions, targets and timing against a robot's."""
-    joints = interface.joints
+    joints = robot.joints
     for index, row in enumerate(turns(robot.angle_step, interface.kind, len(joints)).tolist()):
         for at, (joint, expected) in enumerate(zip(joints, row, strict=True)):
             name = f"{joint} pair" if len(joints) == 2 else joint.replace("_", " ")

@@ -36,7 +36,7 @@ def test_the_file_holds_its_terrain_robot_and_layout(tmp_path: Path) -> None:
 
 def test_a_terrain_that_is_not_installed_is_named_and_not_needed_on_another(tmp_path: Path) -> None:
     moon = {"terrain": "moon", "terrain_config": {"name": "moon", "craters": 3}}
-    robot = {"robot": Robot().model_dump(exclude={"flippers"}, exclude_none=True)}
+    robot = {"robot": Robot().model_dump(exclude_none=True)}
     linear.write(tmp_path / "p.onnx", **moon, **robot)
     mix = {"name": "mix", "parts": [{"name": "moon", "craters": 3}, {"name": "step"}]}
     linear.write(tmp_path / "mix.onnx", **robot, terrain="mix", terrain_config=mix)
@@ -52,7 +52,7 @@ def test_a_terrain_that_is_not_installed_is_named_and_not_needed_on_another(tmp_
 
 STEP, LIMIT = math.pi / 12, math.pi / 3
 OWN = {
-    "robot": Robot().model_dump(exclude={"flippers"}, exclude_none=True),
+    "robot": Robot().model_dump(exclude_none=True),
     "targets": {"meaning": "x", "window": STEP, "limit": LIMIT},
 }
 
@@ -113,7 +113,7 @@ def test_a_file_that_contradicts_its_own_robot_is_refused(tmp_path: Path) -> Non
 
 
 def test_eval_drives_the_file_s_own_robot_and_refuses_another(tmp_path: Path) -> None:
-    robot = {**Robot().model_dump(exclude={"flippers"}, exclude_none=True), "angle_limit": 0.3}
+    robot = {**Robot().model_dump(exclude_none=True), "angle_limit": 0.3}
     targets = {"meaning": "x", "window": STEP, "limit": 0.3}
     flat = {"terrain": "flat", "terrain_config": {"name": "flat"}}
     linear.write(tmp_path / "p.onnx", robot=robot, targets=targets, **flat)

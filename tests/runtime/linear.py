@@ -49,6 +49,13 @@ SIDES = {
     "robot": ROBOT,
 }
 """Arguments of ``write`` for a policy by the heights below the left tracks."""
+FOUR = {
+    "joints": ["front_left", "front_right", "rear_left", "rear_right"],
+    "observation": [*HEIGHTS, *2 * ANGLES[:2], ANGLES[2]],
+    "actions": [[STEP * (a // 3**j % 3 - 1) for j in (3, 2, 1, 0)] for a in range(81)],
+    **{"size": 35, "numbers": 81},
+}
+"""Arguments of ``write`` for a policy of four flippers that turn alone."""
 RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}
 """Metadata of a file with a risk."""
 
@@ -109,6 +116,8 @@ def write(
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
     entries = {k: v for k, v in {**METADATA, **changes}.items() if v is not None}
+    if isinstance(robot := entries.get("robot"), dict):  # which joints it has, "joints" says
+        entries["robot"] = {k: v for k, v in robot.items() if k != "flippers"}
     texts = {
         f"flipperctl.{k}": v if isinstance(v, str) else json.dumps(v) for k, v in entries.items()
     }

@@ -14,7 +14,6 @@ from flipperctl.core.lidar.body import attitude as rotation
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.sensing import Measured
-from flipperctl.core.targets import ACTIONS
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import PolicyError
 from flipperctl.policies.source import PolicySource
@@ -30,7 +29,7 @@ from flipperctl.runtime import (
     Odometry,
     Signs,
 )
-from tests.runtime.linear import MAP, RATES, ROBOT, RULE, write
+from tests.runtime.linear import FOUR, MAP, RATES, ROBOT, RULE, write
 from tests.runtime.messages import GROUND, IN_CHASSIS, RELAXED, drive, good
 
 
@@ -46,7 +45,7 @@ def controller(file: Path) -> FlipperController:
     return FlipperController(file, IN_CHASSIS, RELAXED)
 
 
-@pytest.mark.parametrize("kind", [{}, RATES], ids=["turns", "rates"])
+@pytest.mark.parametrize("kind", [{}, RATES, FOUR], ids=["turns", "rates", "four"])
 def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
     kind: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -59,10 +58,11 @@ def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
             LidarEstimator, "update", lambda self, m: (recorded.append(m), update(self, m))[1]
         )
         perception = {"name": "lidar", "pose": "belts", "azimuths": 60, **stated}
-        env = FlipperEnv(config=EnvConfig(terrain={"name": "step"}, perception=perception))
+        four = {"sim": "mujoco", "robot": {"flippers": "four"}} if kind is FOUR else {}
+        env = FlipperEnv(config=EnvConfig(terrain={"name": "step"}, perception=perception, **four))
         policy = PolicySource(file).build(env.config)
-        driven = islice(decisions(env, policy, 8), 10)
-        actions = [d.rates or ACTIONS.index(d.transition.action) for d in driven]
+        driven = list(islice(decisions(env, policy, 8), 10))
+        actions = [d.rates or d.action for d in driven]
     controller = FlipperController(file, limits=RELAXED, shadow=True)  # the simulator turns them
     kinds = {Scan: "cloud", Inertial: "attitude", Joints: "joints", Belts: "odometry"}
     taken = []
@@ -103,7 +103,10 @@ def told(m: Measured) -> object:
     if isinstance(v, Inertial):
         return Attitude(m.time, "base_link", v.roll, v.pitch, v.yaw_rate)
     if isinstance(v, Joints):
-        return JointAngles(m.time, v.front, v.rear)
+        if not v.flippers:
+            return JointAngles(m.time, v.front, v.rear)
+        front, rear = np.array(v.flippers[:2]) - v.front, np.array(v.flippers[2:]) - v.rear
+        return JointAngles(m.time, v.front, v.rear, (tuple(front), tuple(rear)))
     return Odometry(m.time, v.speed)
 
 
