@@ -1,7 +1,7 @@
 """The weights that a training starts with in place of random ones.
 
 In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: the networks of the
-training with its weights. With ``perception.sides=true`` they may be of a policy without sides.
+training with its weights. They may be of a policy that perceives and moves less, see ``widening``.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import torch
 
 from flipperctl.agent.networks import build_policy
 from flipperctl.agent.risk import RiskNetwork
+from flipperctl.api import ObservationLayout
 from flipperctl.checkpoint import read
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError
 from flipperctl.learners.pair import NetworkPair
-from flipperctl.learners.widening import columns, give_weights, random_rows
+from flipperctl.learners.widening import branches_of, give_weights, random_rows, seen_by
 from flipperctl.policies.source import check_layout, load_policy
 from flipperctl.policies.trained import naming, policy_module, policy_risk
 
@@ -39,17 +40,18 @@ def read_start(config: TrainConfig) -> Start | None:
         checkpoint = read(file)
         module = policy_module(checkpoint)
         layout, wide = checkpoint.policy_config().perception.layout, config.perception.layout
-        # A policy without sides does not heed what stands there.
-        seen = layout if layout.sides else layout.model_copy(update={"sides": wide.sides})
-        check_layout(file, seen, config.environment())
+        # A policy without sides does not heed what stands there; one of pairs turns both alike.
+        less: dict[str, object] = {"sides": layout.sides or wide.sides}
+        if layout.flippers == "pairs":
+            less["flippers"] = wide.flippers
+        check_layout(file, layout.model_copy(update=less), config.environment())
         risk = policy_risk(checkpoint) if config.agent.failure_risk else None
-    frames = config.network.frames
-    at, rows = columns(layout, wide, frames), random_rows(frames * wide.size)
-    network = _same_network(config, name, module, rows, at)
+    network = _same_network(config, name, module, layout)
     if risk is None:
         return network, None
-    wider = RiskNetwork(rows.shape[1])
-    give_weights(risk.network, wider, rows, at)
+    seen = seen_by(layout, wide, config.network.frames)
+    wider = RiskNetwork(len(seen))
+    give_weights(risk.network, wider, random_rows(len(seen)), seen)
     return network, wider
 
 
@@ -71,29 +73,33 @@ def load_start_weights(start: Start, agent: NetworkPair) -> None:
 
 
 def _same_network(
-    config: TrainConfig,
-    name: str,
-    module: torch.nn.Module,
-    rows: torch.Tensor,
-    columns: torch.Tensor,
+    config: TrainConfig, name: str, module: torch.nn.Module, layout: ObservationLayout
 ) -> torch.nn.Module:
     """Return the training's network with the weights of ``module``, if both are one function.
 
     Settings that only change how it learns, such as a dropout, and names of weights may differ.
-    ``rows`` and ``columns``: see ``give_weights``.
+    ``layout``: what ``module`` perceives, all of which the training perceives, too.
     """
     text = (
         f"{SETTING}: {name} has another network than this training; give it the same network and "
         "settings of the network"
     )
-    built = build_policy(config.network, config.perception.layout).eval()
+    wide = config.perception.layout
+    built = build_policy(config.network, wide).eval()
+    seen = seen_by(layout, wide, config.network.frames)
+    rows, outputs, branches = random_rows(len(seen)), built, None
+    if len(wide.joints) != len(layout.joints):
+        branches = branches_of(len(layout.joints), len(wide.joints))
+        outputs = built.get_submodule("branches")
     try:
-        if len(columns) == rows.shape[1]:
+        if layout == wide:
             _require_equal_shapes(module, built)
-        give_weights(module, built, rows, columns)
+        give_weights(module, outputs, rows, seen, branches)
         # Equal shapes do not make equal functions: values of random inputs are compared as well.
         with torch.inference_mode():
-            equal = torch.allclose(built(rows), module(rows[:, columns]), rtol=1e-4, atol=1e-4)
+            wanted = module(rows @ seen)
+            wanted = wanted if branches is None else wanted @ branches.T
+            equal = torch.allclose(outputs(rows), wanted, rtol=1e-4, atol=1e-4)
     except (ValueError, RuntimeError) as error:
         raise ConfigError(f"{text} ({str(error).splitlines()[0]})") from error
     if not equal:

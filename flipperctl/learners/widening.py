@@ -1,7 +1,8 @@
-"""A network that perceives more than another, and begins as the same function.
+"""A network that perceives or moves more than another, and begins as the same function.
 
-In: a network, and one of its kind whose input rows have further numbers. Out: the second with the
-first one's weights. What it alone perceives counts nothing until it learns.
+In: a network, and one of its kind for an observation with both sides, or for four flippers in place
+of pairs. Out: the second with the first one's weights. What it alone perceives counts nothing until
+it learns. The flippers of a pair are sensed by their mean, and both turn as the pair did.
 """
 
 from __future__ import annotations
@@ -9,16 +10,42 @@ from __future__ import annotations
 import torch
 
 from flipperctl.api import ObservationLayout
+from flipperctl.core.targets import actions_of
 
 
-def columns(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> torch.Tensor:
-    """Return where the numbers of an input row of ``layout`` stand in one of ``wide``, (F · n,).
+def seen_by(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> torch.Tensor:
+    """Return the matrix S by which input rows of ``wide`` @ S are those of ``layout``.
 
-    Sides stand between an observation's heights and its angles.
+    Its shape is (F · m, F · n) for observations of m and n numbers. Sides stand between an
+    observation's heights and the angles of its joints, which end before the pitch.
     """
-    angles = layout.size - layout.heights
-    one = torch.cat([torch.arange(layout.heights), torch.arange(wide.size - angles, wide.size)])
-    return torch.cat([frame * wide.size + one for frame in range(frames)])
+    one = torch.zeros(wide.size, layout.size)
+    for place in range(layout.heights):
+        one[place, place] = 1.0
+    # Angle of a pair: the mean of its flippers
+    each = len(wide.joints) // len(layout.joints)
+    for joint in range(len(layout.joints)):
+        first = wide.size - 1 - len(wide.joints) + joint * each
+        one[first : first + each, layout.size - 1 - len(layout.joints) + joint] = 1 / each
+    one[-1, -1] = 1.0
+    return torch.kron(torch.eye(frames), one)
+
+
+def branches_of(joints: int, more: int) -> torch.Tensor:
+    """Return the matrix that makes branches of ``more`` joints from Q-values of J, (3 · more, 3^J).
+
+    The mean of the branches is the mean Q-value, and what the turn of each joint adds to it in the
+    mean over the turns of the others. Between the joints of the first table, nothing else is kept.
+    """
+    actions = torch.tensor(actions_of(joints))
+    mean = torch.full((1, len(actions)), 1 / len(actions))
+    rows = []
+    for joint in range(joints):
+        for turn in (-1, 0, 1):
+            alike = (actions[:, joint] == turn).float().unsqueeze(0)
+            adds = alike / alike.sum() - mean
+            rows.append(mean + joints * adds)
+    return torch.cat(rows).view(joints, 3, -1).repeat_interleave(more // joints, 0).flatten(0, 1)
 
 
 def random_rows(size: int) -> torch.Tensor:
@@ -28,29 +55,40 @@ def random_rows(size: int) -> torch.Tensor:
 
 @torch.no_grad()
 def give_weights(
-    module: torch.nn.Module, built: torch.nn.Module, rows: torch.Tensor, columns: torch.Tensor
+    module: torch.nn.Module,
+    built: torch.nn.Module,
+    rows: torch.Tensor,
+    seen: torch.Tensor,
+    branches: torch.Tensor | None = None,
 ) -> None:
     """Give ``built`` the weights of ``module``; inputs that it alone has are weighted by 0.
 
-    ``rows`` are input rows of ``built``, (R, F · m); ``columns``, (F · n,), are those that
-    ``module`` sees. Whether both are one function afterwards is for the caller to compare.
+    ``rows`` are input rows of ``built``, (R, F · m); ``rows @ seen`` are those of ``module``, and
+    the outputs of ``built`` shall be ``branches`` of those of ``module``, or the same. Whether they
+    are is for the caller to compare.
 
     Raises:
-        ValueError, RuntimeError: they differ by more than the inputs of linear layers.
+        ValueError, RuntimeError: they differ by more than the inputs and outputs of linear layers.
     """
     # Weights are matched in their order, since a version may have renamed them.
     weights, initial = module.state_dict().values(), built.state_dict().values()
     for source, target in zip(weights, initial, strict=True):
         if source.shape == target.shape:
             target.copy_(source)
-    # A layer that sees more gets the weights by which it answers alike, first layers first. The
-    # smallest ones are taken: what it alone sees has none.
     for layer, wider in zip(_linear(module), _linear(built), strict=True):
+        weight: torch.Tensor = layer.weight
+        bias: torch.Tensor | None = layer.bias
+        if branches is not None and layer.out_features != wider.out_features:
+            weight, bias = branches @ weight, branches @ layer.bias
+        # A layer that sees more gets the weights by which it answers alike, first layers first. The
+        # smallest ones are taken: what it alone sees has none.
         if layer.in_features != wider.in_features:
-            seen, wanted = _reaching(built, wider, rows), _reaching(module, layer, rows[:, columns])
-            answers = wanted.double() @ layer.weight.T.double()
-            solved = torch.linalg.lstsq(seen.double(), answers, driver="gelsy")
-            wider.weight.copy_(solved.solution.T)
+            answers = _reaching(module, layer, rows @ seen).double() @ weight.T.double()
+            reaching = _reaching(built, wider, rows).double()
+            weight = torch.linalg.lstsq(reaching, answers, driver="gelsy").solution.T
+        wider.weight.copy_(weight)
+        if bias is not None:
+            wider.bias.copy_(bias)
 
 
 def _linear(module: torch.nn.Module) -> list[torch.nn.Linear]:
