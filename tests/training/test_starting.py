@@ -11,6 +11,7 @@ import torch
 from flipperctl import checkpoint
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import Teacher, TrainConfig, to_dict
+from flipperctl.core.targets import actions_of
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.learners.clipped import GradientLearning
 from flipperctl.policies.trained import policy_module
@@ -60,6 +61,27 @@ def test_a_policy_that_now_sees_both_sides_begins_as_it_was(
     back = {"agent.start_from": str(tmp_path), "network": {"name": "stacked"}}
     with pytest.raises(CheckpointError, match=r"was trained on .*sides=true; perception asks"):
         training_run.check(few(**back))
+
+
+def test_four_flippers_begin_as_the_pairs_turned(
+    runs: Callable[[str], Path], tmp_path: Path
+) -> None:
+    start = {"agent.start_from": str(runs("stacked")), "network": {"name": "stacked"}}
+    four = {"sim": "mujoco", "robot.flippers": "four", "perception.sides": True}
+    new = begun(tmp_path, **start, **four)
+    old = policy_module(checkpoint.read(runs("stacked") / checkpoint.BEST))
+    # Heights, those below the sides, the roll, four angles and the pitch
+    wide = torch.randn((8, 3, 96))
+    front, rear = wide[..., 91:93].mean(2, keepdim=True), wide[..., 93:95].mean(2, keepdim=True)
+    narrow = torch.cat([wide[..., :30], front, rear, wide[..., 95:]], dim=2)
+    with torch.inference_mode():
+        ours, theirs = new.learning.policy(wide.flatten(1)), old(narrow.flatten(1))
+    # What each turn of a pair adds in the mean over the other pair's turns
+    table, mean = theirs.view(-1, 3, 3), theirs.mean(1)
+    adds = [table.mean(2) - mean[:, None], table.mean(1) - mean[:, None]]
+    for action, turns in enumerate(actions_of(4)):
+        pairs = (adds[i // 2][:, turn + 1] / 2 for i, turn in enumerate(turns))
+        assert torch.allclose(ours[:, action], mean + sum(pairs), atol=1e-4)
 
 
 def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> None:
