@@ -1,5 +1,5 @@
 """Built-in controllers: baselines that need no training, and rules that learn their numbers."""
 
-from . import geometric, hfc, rules, zimmermann
+from . import geometric, hfc, rules, sides, zimmermann
 
-__all__ = ["geometric", "hfc", "rules", "zimmermann"]
+__all__ = ["geometric", "hfc", "rules", "sides", "zimmermann"]

@@ -84,7 +84,7 @@ class Okada(Controller):
             raise ValueError(f"near={self.near:g} must be below far={self.far:g}")
         return self
 
-    def act(self, p: Perception) -> int:
+    def act(self, p: Perception) -> int | tuple[float, ...]:
         """Turn each pair one step towards its target; hold it within half an angle step of it."""
         front, rear = self.angle(p, rear=False), self.rear_gain * self.angle(p, rear=True)
         if self.margin is not None:

@@ -1,11 +1,13 @@
 """Rules from the literature, each in cases that were worked by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from flipperctl_plugins.controllers.geometric import Geometric
 from flipperctl_plugins.controllers.rules import Linear, Ohno, Okada
+from flipperctl_plugins.controllers.sides import OkadaSides
 from flipperctl_plugins.resting import Rest, rest
 from numpy.typing import NDArray
 
@@ -119,3 +121,18 @@ def test_okada_keeps_its_margin() -> None:
         (1, 0),
         (0, 0),
     ]
+
+
+def test_okada_sides_raises_the_flippers_before_a_wall_on_their_side() -> None:
+    layout = LAYOUT.model_copy(update={"sides": True, "flippers": "four"})
+    p = perceive(np.full(len(X), -0.1))
+    # A wall of 0.3 m from the eleventh bin on, 0.45 m ahead: before the left tracks alone
+    heights = np.full((3, 2, 15), -0.1, np.float32)
+    heights[1, :, 11:] = 0.2
+    seen = np.concatenate([heights.ravel(), np.zeros(6, np.float32)])
+    four = replace(p, observation=seen, layout=layout, flippers=(0.0,) * 4)
+    assert OkadaSides(far=0.6).act(four) == (1, 0, 0, 0)
+    # Pairs take the mean of both sides; without sides, okada's turns
+    pairs = replace(p, observation=seen, layout=layout)
+    assert OkadaSides(far=0.6).act(pairs) == (1, 0)
+    assert OkadaSides().act(p) == turns(Okada().act(p)) == (0, 0)

@@ -1,0 +1,43 @@
+"""A rule that sees both sides of the ground, for four flippers that turn alone."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Perception, controller
+
+from .rules import Okada
+
+
+@controller("okada_sides")
+class OkadaSides(Okada):
+    """``okada`` for the left and for the right flippers alone, which keeps the roll small.
+
+    With ``perception.sides=true`` each side follows the heights below its own tracks. A pair takes
+    the mean of both sides. ``margin`` is not used.
+    """
+
+    def act(self, p: Perception) -> tuple[float, ...]:
+        """Turn each flipper one step towards its target; hold it within half a step of it."""
+        sides = [replace(p, points=points) for points in below(p)]
+        ends = (1.0, False), (self.rear_gain, True)
+        # At the front and at the rear, left and right, (2, 2) [rad]
+        targets = np.array([[g * self.angle(s, rear=rear) for s in sides] for g, rear in ends])
+        measured = p.flippers or (p.front, p.rear)
+        wanted = targets.ravel() if p.flippers else targets.mean(axis=1)
+        turns = np.round((wanted - measured) / p.robot.angle_step)
+        return tuple(np.clip(turns, -1.0, 1.0).tolist())
+
+
+def below(p: Perception) -> list[FloatArray]:
+    """Return the highest points of the bins below the left and the right tracks, each (N, 2) [m].
+
+    They are in frame L. Without sides, both are the ground below the whole width.
+    """
+    layout = p.layout
+    if not layout.sides:
+        return [p.points, p.points]
+    x = layout.bin_width * (np.arange(layout.bins) + 0.5) - layout.reach
+    # Below the whole width, the left and the right tracks; means before highest points
+    kinds = p.observation[: layout.heights].reshape(3, -1, layout.bins)
+    return [np.column_stack([x, kinds[side, -1]]) for side in (1, 2)]
