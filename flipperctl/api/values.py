@@ -288,6 +288,13 @@ class Command(NamedTuple):
     """1 if the operator commands the front flippers, 0 if a policy does that helps [-]."""
     took_rear: float = 1.0
     """The same of the rear flippers [-]."""
+    flippers: tuple[float, ...] = ()
+    """Target angles of four flippers, as in ``RobotState``; empty: both sides alike [rad]."""
+
+    @property
+    def numbers(self) -> tuple[float, float, float, float, float]:
+        """The other fields, which are recorded."""
+        return self.front, self.rear, self.belts, self.took_front, self.took_rear
 
 
 @dataclass(frozen=True)
@@ -371,7 +378,7 @@ class Transition:
     None in predictions, and in an engine that does not measure it. Measures may use it.
     """
     commands: FloatArray | None = None
-    """Fields of each ``Command`` in the decision, (K, 5); None: the policy chose an action."""
+    """``numbers`` of each ``Command`` in the decision, (K, 5); None: the policy chose an action."""
 
     @property
     def ended(self) -> bool:

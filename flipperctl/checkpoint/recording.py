@@ -203,7 +203,7 @@ def _rows(size: int, operated: bool) -> dict[str, tuple[tuple[int, ...], type[np
         "reward": ((), np.float64),
         "label": ((len(ACTIONS),), np.float32),
     }
-    return rows | ({"command": ((len(Command._fields),), np.float64)} if operated else {})
+    return rows | ({"command": ((len(Command(0.0, 0.0).numbers),), np.float64)} if operated else {})
 
 
 def _joined(

@@ -86,8 +86,8 @@ class Commanding:
         """Ask for a command and apply the one that is due; return the new targets [rad]."""
         # The first command of an episode starts from the targets of its start.
         self._followed = self._followed or targets
-        command = Command(*map(float, self._call(world)))
-        if not all(map(math.isfinite, command)):
+        command = self._call(world)
+        if not all(map(math.isfinite, (*command.numbers, *command.flippers))):
             raise NonFiniteError(
                 f"an operator's command has a number that is not finite: {command}"
             )
@@ -98,8 +98,8 @@ class Commanding:
             return targets
         due = self._waiting.popleft()
         limit, belts = self._limit, min(1.0, max(-1.0, due.belts))
-        pair = min(limit, max(-limit, due.front)), min(limit, max(-limit, due.rear))
-        targets = alike(pair, len(targets))
+        angles = due.flippers or alike((due.front, due.rear), len(targets))
+        targets = tuple(min(limit, max(-limit, float(angle))) for angle in angles)
         world.command(*targets)
         if belts != self._belts:
             world.run_belts(belts)
@@ -114,7 +114,8 @@ class Commanding:
         """
         before = self._followed or targets
         action, self._followed = closest_action(before, targets, self._step, self._limit)
-        commands, self.commands = np.array(self.commands, np.float64), []
+        numbers = [command.numbers for command in self.commands]
+        commands, self.commands = np.array(numbers, np.float64), []
         return action, commands
 
 

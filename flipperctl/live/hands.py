@@ -135,7 +135,7 @@ class Hands:
             # Without a driver, the flippers stay where they were when this was noticed.
             if request is None or not self.present:
                 self._held = self._held or (state.front, state.rear)
-                return Command(*self._held, 0.0, *map(float, self.owned)), None
+                return Command(*self._held, 0.0, *self._took()), None
             self._held = None
             self._steps = now = request.front_steps, request.rear_steps
         robot = self._robot
@@ -155,4 +155,8 @@ class Hands:
         front, rear = (
             new if turn else old for new, old, turn in zip(turned, targets, turns, strict=True)
         )
-        return Command(front, rear, request.belts, *map(float, self.owned)), request.at
+        return Command(front, rear, request.belts, *self._took()), request.at
+
+    def _took(self) -> tuple[float, float]:
+        front, rear = map(float, self.owned)
+        return front, rear

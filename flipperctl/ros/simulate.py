@@ -30,7 +30,7 @@ from flipperctl.api import Command, Measured, Perception, RobotState, Simulator,
 from flipperctl.config import EvalConfig
 from flipperctl.core.lidar.body import attitude
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
-from flipperctl.core.targets import angles_of
+from flipperctl.core.targets import alike, angles_of, by_joint
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import FlipperctlError, RequestError
@@ -193,24 +193,27 @@ class TopicRobot(Observer):
 
     def _on_command(self, message: Any) -> None:
         """Take a command: angles of the flippers, if any, and the speed of the belts."""
-        joints = self.devices.joints
+        joints, count = self.devices.joints, len(self._config.robot.joints)
         values = dict(zip(message.name, message.position, strict=False))
         speeds = dict(zip(message.name, message.velocity, strict=False))
-        pairs: list[float] = []
-        for names, sign in zip((joints.front, joints.rear), self._signs, strict=True):
+        # The flippers that turn together
+        groups: list[Sequence[str]] = [joints.front, joints.rear]
+        if count > len(groups):
+            groups = [[name] for group in groups for name in group]
+        targets: list[float] = []
+        for names, sign in zip(groups, alike(self._signs, count), strict=True):
             angles = [
                 (-1 if name.startswith("-") else 1) * values.get(name.lstrip("-"), math.nan)
                 for name in names
             ]
-            pairs.append(sign * joints.scale * sum(angles) / len(angles))
+            targets.append(sign * joints.scale * sum(angles) / len(angles))
             self._remark(message.name, names, [joints.scale * angle for angle in angles])
         speed = speeds.get("belts", 0.0)
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         with self._heard:
-            known = all(map(math.isfinite, pairs))
-            angles_of = (pairs[0], pairs[1]) if known else None
+            told = tuple(targets) if all(map(math.isfinite, targets)) else None
             valid, now = self.devices.limits.valid_for, self._now
-            self._watch.take(now, stamp, valid, speed != 0, angles_of)
+            self._watch.take(now, stamp, valid, speed != 0, told)
             self._speed = speed
             self.numbers.commands += 1
             self._answered = max(self._answered, stamp)
@@ -287,9 +290,9 @@ class TopicRobot(Observer):
         self._tick()
         with self._heard:
             drives, angles = self._watch.drives(self._now), self._watch.angles(self._now)
-        front, rear = (state.front, state.rear) if angles is None else angles
+        angles = angles_of(state) if angles is None else angles
         belts = self._speed / self._config.robot.track_speed if drives else 0.0
-        return Command(front=front, rear=rear, belts=max(-1.0, min(1.0, belts)))
+        return Command(**by_joint(angles), belts=max(-1.0, min(1.0, belts)))
 
     def stopped(self, world: World) -> None:
         """Publish a sample: clock, pose and joints."""

@@ -88,10 +88,10 @@ def test_a_policy_turns_what_the_operator_leaves() -> None:
     h = Hands(ROBOT, PERIOD, helped=True)
     h.hear(asked(belts=1))
     command, _ = h.command((0.0, 0.0), state(), (1, -1))
-    assert [*command] == pytest.approx([STEP, -STEP, 1.0, 0.0, 0.0])
+    assert [*command.numbers] == pytest.approx([STEP, -STEP, 1.0, 0.0, 0.0])
     h.hear(asked(rear_steps=1))
     command, _ = h.command((0.0, 0.0), state(), (1, -1))
-    assert [*command] == pytest.approx([STEP, STEP, 0.0, 0.0, 1.0])
+    assert [*command.numbers] == pytest.approx([STEP, STEP, 0.0, 0.0, 1.0])
     h.hear(asked(rear_steps=1))
     assert h.command((0.0, 0.0), state(), (0, -1))[0].rear == 0.0  # still the operator's
     h.release()

@@ -23,7 +23,7 @@ from flipperctl.runtime.devices import Devices, devices_of
 from flipperctl.runtime.lockstep import Lockstep
 from flipperctl.runtime.node import RobotNode
 from tests.cli.call import call
-from tests.runtime.linear import RATES, SIDES, write
+from tests.runtime.linear import FOUR, RATES, ROBOT, RULE, SIDES, write
 
 SCENE = ("terrain=paper_step", "sim=mujoco", "perception.azimuths=60")
 DECISIONS = 24  # until the robot is on the step
@@ -128,6 +128,17 @@ def test_a_policy_with_sides_has_the_same_targets_on_topics(tmp_path: Path) -> N
     # Until a pair is held, which one side's load turns away
     alone = targets(config, load_policy(policy).build(config), 0)[:12]
     assert np.ptp(alone) > 0.5
+    assert driven(config, devices, policy, 0)[:12] == alone
+
+
+def test_four_flippers_have_the_same_targets_on_topics(tmp_path: Path) -> None:
+    policy = write(tmp_path / "four.onnx", **FOUR, robot=ROBOT, targets=RULE)
+    devices = devices_of({"lidar": PLACE}, "test")
+    config = recorded_robot((*SCENE, "robot.flippers=four"), devices).config
+    # Until a flipper is held, which its load turns away
+    alone = targets(config, load_policy(policy).build(config), 0)[:12]
+    assert np.shape(alone) == (12, 4)
+    assert np.ptp(alone, axis=1).max() > 0.5
     assert driven(config, devices, policy, 0)[:12] == alone
 
 
