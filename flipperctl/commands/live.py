@@ -269,17 +269,18 @@ def _announce(address: str, browser: bool) -> None:
 
 def _entrants(names: list[str], settings: list[str]) -> list[Entrant]:
     """Return each policy on its scene."""
+    from flipperctl.evaluation.names import names as short_names
     from flipperctl.evaluation.plan import entrants
     from flipperctl.live.lanes import Entrant
     from flipperctl.requests.plan import make_plan
     from flipperctl.requests.text import from_words
-    from flipperctl.views.summary import short
 
     plan = make_plan(from_words(settings), entrants(names, print_note), "none", lambda line: None)
+    called = short_names([entry.named for entry in plan.entries])
     several = len({entry.terrain for entry in plan.entries}) > 1
     return [
         Entrant(
-            f"{short(entry.named)} on {entry.terrain}" if several else short(entry.named),
+            called[entry.named] + (f" on {entry.terrain}" if several else ""),
             _drawn(entry),
         )
         for entry in plan.entries

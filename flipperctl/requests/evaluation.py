@@ -44,7 +44,7 @@ from flipperctl.text.messages import counted
 from flipperctl.text.show import latex
 from flipperctl.views import evaluation as view
 from flipperctl.views import report
-from flipperctl.views.summary import Document, compared, short
+from flipperctl.views.summary import Document, compared
 
 NAMES = (EPISODES, SUMMARY, "table.csv", "table.tex", TRACES)
 MOST_FAILURES = 20  # largest number of failures of a scene that are recorded [-]
@@ -251,7 +251,7 @@ def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]
     entries = result.plan.rows
     scenes = dict(zip(map(id, entries), _scene_names(entries), strict=True))
     labels = list(dict.fromkeys(entry.label for entry in entries))
-    policies = [Path(short(label)).stem for label in labels]
+    policies = [Path(label.partition("/checkpoints/")[0]).stem for label in labels]
     for item in result.rows:
         if item.entry.stored:
             # Names of files say scene and policy, as far as there are several.

@@ -15,6 +15,7 @@ from flipperctl.config.policy_file import is_policy_file
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.conditions import Inherited, policy_notes, read_config
 from flipperctl.evaluation.engines import steps
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.plan import (
     Entry,
     NamedPolicy,
@@ -28,7 +29,6 @@ from flipperctl.requests.compose import compose_eval, register_trained
 from flipperctl.requests.request import Request, Requests, Several
 from flipperctl.requests.text import from_words
 from flipperctl.terminal.streams import print_note
-from flipperctl.views.summary import short
 
 Tell = Callable[[str], None]
 Scene = tuple[EvalConfig, PolicySource]
@@ -113,8 +113,7 @@ def make_plan(
         source = played[0][1]
         against = controllers(baseline, "--baseline", source.baselines())
         entries = [Entry(*scene) for scene in played]
-        is_folder = policy.run is not None and policy.run.is_dir()
-        title = str(policy.run) if is_folder else short(source.label())
+        (title,) = short_names([source.label()]).values()
         return Plan.of_one(_steps(entries) if compares_engines else entries, against, title)
 
     # Several policies, or a suite: all play all scenes
@@ -127,7 +126,7 @@ def make_plan(
     entries = _entries(
         entrants, references, sections, tell, engines=compares_engines, returns=returns
     )
-    title = ", ".join(map(short, dict.fromkeys(entrant.method for entrant in entrants)))
+    title = ", ".join(short_names([entrant.method for entrant in entrants]).values())
     title = f"suite {suite.name}: {title}" if suite else title
     return Plan(tuple(entries), title, with_best_known=baseline != "none")
 

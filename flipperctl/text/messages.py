@@ -70,8 +70,19 @@ def broken_hint(name: str = "") -> str:
 
 def missing_name(name: str, known: Iterable[str]) -> str:
     """Return a hint about a plugin that is not found: its close match, or how one is loaded."""
-    hint = broken_hint(name) or file_here(name) or close_match(name, known) or broken_hint()
+    hint = broken_hint(name) or file_here(name) or _of_another_kind(name)
+    hint = hint or close_match(name, known) or broken_hint()
     return hint or "; a plugin of your own is loaded by --plugins FILE"
+
+
+def _of_another_kind(name: str) -> str:
+    """Return a hint at the settings that take a plugin of this name; empty without one."""
+    from flipperctl.api import registry
+
+    kinds = "terrain", "network", "agent", "sim", "perception", "logger"
+    keys = {kind: kind for kind in kinds} | {"reward": f"rewards.{name}"}
+    meant = [f"{key}={name}" for kind, key in keys.items() if (kind, name) in registry]
+    return suggestion(*meant, quoted=False)
 
 
 def file_here(name: str) -> str:

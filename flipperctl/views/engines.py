@@ -12,6 +12,7 @@ from typing import Any
 
 from flipperctl.evaluation.engines import comparisons as steps_of
 from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.rows import CAUSE, END, reached
 from flipperctl.text.show import NONE, Column, Table
 from flipperctl.views.summary import (
@@ -19,7 +20,6 @@ from flipperctl.views.summary import (
     correct_all,
     difference,
     gap_text,
-    short,
     summary,
 )
 
@@ -94,6 +94,7 @@ _COLUMNS = (
 def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
     """Yield the table of losses; a row for each step of each policy on each terrain."""
     rows = []
+    called = short_names([comparison["controller"] for comparison in comparisons])
     for comparison in comparisons:
         causes = ", ".join(f"{cause} {count}" for cause, count in comparison["causes"].items())
         # The engine first, and then its sensing, if that is compared too
@@ -105,7 +106,7 @@ def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
             rows.append(
                 {
                     "terrain": comparison["terrain"],
-                    "policy": short(comparison["controller"]),
+                    "policy": called[comparison["controller"]],
                     "step": step,
                     "causes": causes if at == len(steps) else "",
                     "success": gap_text(lost["gap"]["success"]),

@@ -21,7 +21,6 @@ from flipperctl.env.ground import generate_profile
 from flipperctl.env.metrics import heading, other_measures
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
-from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.rows import Episodes, Row
 from flipperctl.text.messages import broken_hint, close_match, counted, unknown
@@ -37,7 +36,7 @@ from flipperctl.views.summary import (
     gap_text,
     named,
     rate_text,
-    short,
+    shown_names,
 )
 
 _ROLL_GAP = Column("roll", "Δ roll variation [rad]", sign="+")
@@ -180,8 +179,9 @@ def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iter
         shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
         yield Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
     # Groups, engines and published results follow, where there are any.
+    called = shown_names(evaluated)
     for name, scene in named(evaluated):
-        yield from group_tables(name, scene)
+        yield from group_tables(name, scene, called[scene.get("method") or scene["controller"]])
     yield from engines.tables(evaluated.get("engines", ()))
     if papers := published(evaluated):
         yield papers
@@ -237,14 +237,6 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
         last = last if dim else row["scene"]
         scene = "" if repeated else row["scene"]
         yield row | {"scene": scene, "line": not repeated and not dim}
-
-
-def shown_names(evaluated: Document) -> Mapping[str, str]:
-    """Return the names of policies, of methods of several seeds and of baselines by label."""
-    scenes = evaluated["scenes"]
-    labels = [scene.get("method") or scene["controller"] for scene in scenes]
-    labels += [other["controller"] for scene in scenes for other in compared(scene)]
-    return short_names(list(dict.fromkeys(labels)))
 
 
 def _policies(evaluated: Document) -> Iterator[tuple[str, str, Document]]:
@@ -367,9 +359,8 @@ def _gap(gap: Mapping[str, Any]) -> str:
     return f"{gap['mean']:+z.2f} rad{ends}"
 
 
-def group_tables(name: str, scene: Mapping[str, Any]) -> Iterator[Table]:
-    """Yield a table for each combination of numbers: success, and differences to the baselines."""
-    who = short(scene.get("method") or scene["controller"])
+def group_tables(name: str, scene: Mapping[str, Any], who: str) -> Iterator[Table]:
+    """Yield success and differences to the baselines by numbers, in tables that say ``who``."""
     for by, groups in scene.get("by", {}).items():
         if groups:
             labels = dict.fromkeys(o["controller"] for group in groups for o in compared(group))
@@ -442,10 +433,11 @@ def _conditions(result: Result) -> Iterator[str]:
 
 def _risks(evaluated: Document) -> Iterator[str]:
     """Yield a line for each policy that told its risk, if it failed or warned."""
+    called = shown_names(evaluated)
     for name, scene in named(evaluated):
         risk = scene.get("risk")
         if risk is not None and (risk["failures"] or risk["false_alarms"]):
-            who = short(scene.get("method") or scene["controller"])
+            who = called[scene.get("method") or scene["controller"]]
             yield f"risk, {who} on {name}: {summary.risk_text(risk)}"
 
 

@@ -9,7 +9,7 @@ from flipperctl.api import Terrain, registry
 from flipperctl.config import to_dict
 from flipperctl.evaluation.rows import Row
 from flipperctl.text.show import Column, Table
-from flipperctl.views.summary import Document, compared, rate_text, short
+from flipperctl.views.summary import Document, compared, rate_text, shown_names
 
 _COLUMNS = (
     Column("terrain", "scene", named=True),
@@ -28,6 +28,7 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
     """
     scenes: dict[type[Terrain], list[Row]] = {}
     others: dict[str, None] = {}
+    called = shown_names(evaluated)
     # Our rows on scenes that repeat an experiment
     for scene in evaluated["scenes"]:
         terrain, conditions = registry.get(("terrain", scene["terrain"])), scene["conditions"]
@@ -44,7 +45,7 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
             variation = summary["pitch_variation_decisions"] or {}
             rows.append(
                 {
-                    "policy": short(scene.get("method") or summary["controller"]),
+                    "policy": called[scene.get("method") or summary["controller"]],
                     "success": rate_text(summary["success"]),
                     "time": (summary["t_cost"] or {}).get("mean"),
                     "variation": variation.get("mean"),

@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.regret import LEVEL, PITCH, Verdict
 from flipperctl.evaluation.statistics import FEWEST
 from flipperctl.text.show import Column, Table, interval_text
-from flipperctl.views.summary import Document, named, short
+from flipperctl.views.summary import Document, named
 
 _STILL = "holding the flippers still"
 _WORDS = {
@@ -34,12 +35,13 @@ _COLUMNS = (
 def table(scenes: Sequence[Document]) -> Table:
     """Return a table with a row for each policy on each scene, the judged one first."""
     rows: list[dict[str, Any]] = []
+    called = short_names([label for s in scenes for label in (s["name"], *s["references"])])
     for name, scene in _named(scenes):
         # The judged policy, its references, then the best of each episode
         policies = [(scene["name"], scene["policy"]), *scene["references"].items()]
         for label, numbers in policies:
             success = f"{100 * numbers['success_rate']:.3g} %"
-            row = {**numbers, "policy": short(label), "success": success}
+            row = {**numbers, "policy": called[label], "success": success}
             rows.append({**row, "scene": name if numbers is scene["policy"] else ""})
         best = {"return": scene["best_known"]["return"], "policy": "best of each episode"}
         rows.append({"scene": "", "success": "", "above_level": "", "regret": "", **best})
@@ -49,16 +51,17 @@ def table(scenes: Sequence[Document]) -> Table:
 
 def sentences(scenes: Sequence[Document]) -> Iterator[tuple[str, bool]]:
     """Yield sentences that compare the policy with holding still, and whether each is an alarm."""
+    called = short_names([label for s in scenes for label in (s["name"], *s["references"])])
     for name, scene in _named(scenes):
         few = f" (fewer than {FEWEST} episodes)" if scene["episodes"] < FEWEST else ""
         above, best = scene["policy"]["above_level"], scene["best_reference"]
         lacks = best["regret"]
         low, high = (None if lacks[end] is None else -lacks[end] for end in ("high", "low"))
         gap = interval_text({"mean": -lacks["mean"], "low": low, "high": high}, sign="+")
-        verdict = Verdict(scene["verdict"])
+        verdict, reference = Verdict(scene["verdict"]), called[best["name"]]
         yield (
-            f"{scene['name']} on {name}: {_WORDS[verdict]}{few}, difference "
-            f"{interval_text(above, sign='+')}; to the best reference, {best['name']}: {gap}",
+            f"{called[scene['name']]} on {name}: {_WORDS[verdict]}{few}, difference "
+            f"{interval_text(above, sign='+')}; to the best reference, {reference}: {gap}",
             verdict is Verdict.LESS,
         )
     # Over all scenes, if there are several
@@ -68,8 +71,8 @@ def sentences(scenes: Sequence[Document]) -> Iterator[tuple[str, bool]]:
         yield f"share of the gain, mean of {len(fractions)}: {mean:.2f}", False
     less = sum(scene["verdict"] == Verdict.LESS for scene in scenes)
     if len(scenes) > 1 and less:
-        text = f"{scenes[0]['name']} {_WORDS[Verdict.LESS]} in {less} of {len(scenes)} comparisons"
-        yield text, True
+        who = called[scenes[0]["name"]]
+        yield f"{who} {_WORDS[Verdict.LESS]} in {less} of {len(scenes)} comparisons", True
 
 
 def _named(scenes: Sequence[Document]) -> Iterator[tuple[str, Document]]:

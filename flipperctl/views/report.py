@@ -21,6 +21,7 @@ import numpy as np
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.errors import RequestError
 from flipperctl.evaluation import store
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.statistics import FEWEST
 from flipperctl.evaluation.stored import SUMMARY, read_document
@@ -41,7 +42,7 @@ from flipperctl.views.findings import (
     table_rows,
 )
 from flipperctl.views.published import published
-from flipperctl.views.summary import Document, named, short
+from flipperctl.views.summary import Document, named
 
 FILE = "report.html"
 REPORT = OutputKind(
@@ -438,9 +439,10 @@ def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
     if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):
         facts["commit"] = " and ".join(commits)
     # Policies by the digest of their weights or settings, and scenes with their conditions
+    called = short_names([header["controller"] for header in headers])
     order = {policy: place for place, policy in enumerate(marks)}
     policies = sorted(
-        {(short(h["controller"]), h["training_seed"], h["policy"]) for h in headers},
+        {(called[h["controller"]], h["training_seed"], h["policy"]) for h in headers},
         key=lambda policy: (order.get(policy[0], len(order)), policy[1] or 0, policy[2]),
     )
     played = Table(

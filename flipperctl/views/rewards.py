@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.rewards import MEASURES, Verdict
 from flipperctl.evaluation.statistics import FEWEST
 from flipperctl.text.show import Column, Table, interval_text
-from flipperctl.views.summary import VARIATION, Document, named, short
+from flipperctl.views.summary import VARIATION, Document, named
 
 _TERMS = (
     Column("term", "term", named=True),
@@ -35,8 +36,9 @@ def audit_table(audited: Document, notes: Sequence[str]) -> Table:
         }
         for name, term in audited["terms"].items()
     ]
+    (name,) = short_names([audited["controller"]]).values()
     title = (
-        f"{short(audited['controller'])} on {audited['terrain']} · {audited['episodes']} episodes, "
+        f"{name} on {audited['terrain']} · {audited['episodes']} episodes, "
         f"{audited['decisions']} decisions · mean return {audited['return']:.2f}"
     )
     return Table(_TERMS, rows, title, list(notes))
@@ -46,6 +48,7 @@ def table(scenes: Sequence[Document]) -> Table:
     """Return a table with a row for each policy on each scene, smallest θ̂_R first."""
     labels = dict.fromkeys(ranking["rewards"] for s in scenes for ranking in s["rankings"])
     rows: list[dict[str, Any]] = []
+    called = short_names([label for scene in scenes for label in scene["policies"]])
     for name, scene in named({"scenes": scenes}):
         paid = {f"return_{ranking['rewards']}": ranking["returns"] for ranking in scene["rankings"]}
         for at, (label, policy) in enumerate(scene["policies"].items()):
@@ -56,7 +59,7 @@ def table(scenes: Sequence[Document]) -> Table:
                 {
                     "scene": f"{name} ({scene['common']} of {scene['episodes']})" if not at else "",
                     "line": not at,
-                    "policy": short(label),
+                    "policy": called[label],
                     "success": f"{100 * policy['success_rate']:.3g} %",
                     **{key: interval and interval["mean"] for key, interval in numbers.items()},
                 }
@@ -79,6 +82,7 @@ def verdict_lines(scenes: Sequence[Document]) -> Iterator[str]:
         Verdict.AGREES: "no contradiction to pitch variation on",
         Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common episodes) on",
     }
+    called = short_names([label for scene in scenes for label in scene["policies"]])
     # Contradictions one by one, then a verdict on each set of terms
     verdicts: dict[str, dict[str, list[str]]] = {}
     for name, scene in named({"scenes": scenes}):
@@ -88,10 +92,11 @@ def verdict_lines(scenes: Sequence[Document]) -> Iterator[str]:
             for rival in ranking["contradictions"]:
                 term, part = next(iter(rival["terms"].items()))
                 gain = interval_text(rival["return_difference"])
+                paid, calm = called[rival["paid"]], called[rival["calm"]]
                 variation = interval_text(rival["pitch_variation_100hz_difference"])
                 yield (
-                    f"{ranking['rewards']} on {name}: the reward of {rival['paid']} is {gain} "
-                    f"larger than that of {rival['calm']}, but its pitch variation is {variation} "
+                    f"{ranking['rewards']} on {name}: the reward of {paid} is {gain} "
+                    f"larger than that of {calm}, but its pitch variation is {variation} "
                     f"rad larger (p {rival['p_holm']:.2g}); the term {term} contributes {part:+.2f}"
                 )
     for label, by_verdict in verdicts.items():

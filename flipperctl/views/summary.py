@@ -16,6 +16,7 @@ from flipperctl.api import FloatArray, Outcome
 from flipperctl.env.metrics import CORE, with_both_names
 from flipperctl.evaluation.conditions import numbered
 from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.rows import Episodes, Row, reached
 from flipperctl.evaluation.seeds import (
     SeedSamples,
@@ -332,11 +333,12 @@ def summarise(episodes: Sequence[Ended]) -> Document | None:
 # Texts
 
 
-def short(label: str) -> str:
-    """Return a policy's label without the parts of its path that say nothing."""
-    return label.removesuffix("/checkpoints/best.safetensors").removesuffix(
-        "/checkpoints/last.safetensors"
-    )
+def shown_names(evaluated: Document) -> Mapping[str, str]:
+    """Return the names of policies, of methods of several seeds and of baselines by label."""
+    scenes = evaluated["scenes"]
+    labels = [scene.get("method") or scene["controller"] for scene in scenes]
+    labels += [other["controller"] for scene in scenes for other in compared(scene)]
+    return short_names(labels)
 
 
 def rate_text(summarised: Mapping[str, Any]) -> str:

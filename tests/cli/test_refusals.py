@@ -149,6 +149,12 @@ def test_a_wrong_request_is_named(command: str, parts: list[str], tmp_path: Path
     assert [part for part in parts if part not in error] == [], error
 
 
+@pytest.mark.parametrize("command", ["inspect terrain profile_file", "train terrain=profile_file"])
+def test_ground_without_a_file_is_refused_before_any_seed(command: str, tmp_path: Path) -> None:
+    error = refused(*command.split(), cwd=tmp_path)
+    assert error.rstrip().endswith("Name its file, such as terrain.path=ground.csv")
+
+
 def test_paths_of_every_kind_of_door_may_begin_with_the_home_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

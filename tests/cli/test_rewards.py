@@ -59,6 +59,16 @@ def test_a_run_is_judged_by_its_own_reward_unless_another_is_chosen(
     assert smooth["policy"]["returns"] != own["policy"]["returns"]
 
 
+@pytest.mark.parametrize("words", [[], ["level"], ["level", "--regret"]])
+def test_a_run_has_the_name_that_the_table_of_eval_has(
+    words: list[str], short_run: Path, tmp_path: Path
+) -> None:
+    done = call("inspect", "reward", str(short_run), *words, "--episodes", "1", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert short_run.name in done.out
+    assert str(short_run.parent) not in done.out
+
+
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A run that was compared at its end, and what the command printed; copy it to change it."""

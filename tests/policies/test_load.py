@@ -55,6 +55,9 @@ def test_a_word_is_a_controller_a_file_or_a_shipped_policy_in_this_order(
     [
         ("okado", "any", ConfigError, "^x: okado: there is no .* or controller .did you mean 'ok"),
         ("runs/okada", "any", CheckpointError, "^x: runs/okada: there is no such run, file, ship"),
+        ("stair", "any", ConfigError, "^x: stair: there is no .* .did you mean terrain=stair.."),
+        ("planar", "any", ConfigError, "did you mean sim=planar or perception=planar"),
+        ("impact", "any", ConfigError, "did you mean rewards.impact=impact"),
         ("okada", "file", CheckpointError, "file or shipped policy; names: generalist"),
         ("a" * 5000, "any", ConfigError, "there is no such run"),
         ("generalist", "controller", RequestError, "^x: controllers are allowed, and generalist"),
