@@ -95,9 +95,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.code == 0, done.err
     done = call("export", "onnx", SHOWN, "--output", "stair.onnx", cwd=folder)
     assert done.code == 0, done.err
-    for method, seed in (("seeds/plain", 1), ("seeds/plain", 2), ("seeds/searched", 1), ("dqn", 1)):
-        label = f"{Path(method).name}{seed}"
-        write(folder / method / str(seed), {label: 1 + seed / 10, "level": 1})
+    write(folder / "dqn" / "1", {"dqn1": 1.1, "level": 1})
     for run in (FIRST, SWEPT):
         shutil.copytree(folder / SHOWN, folder / run)
     for name in ("first.onnx", "sb3_dqn.onnx"):
