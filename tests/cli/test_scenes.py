@@ -90,7 +90,8 @@ def composed(name: str, *words: str) -> Plan:
 def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> None:
     """Without Hydra, which takes ten times as long."""
     names = (
-        "families generalist generalist_3d held_out numerics paper robustness sides strange torque"
+        "families ftr generalist generalist_3d held_out numerics paper robustness sides strange "
+        "torque"
     )
     assert list(shipped("suite")) == names.split()
     for name in shipped("suite"):
