@@ -13,8 +13,8 @@ from .rules import Okada
 class OkadaSides(Okada):
     """``okada`` for the left and for the right flippers alone, which keeps the roll small.
 
-    With ``perception.sides=true`` each side follows the heights below its own tracks. A pair takes
-    the mean of both sides. ``margin`` is not used.
+    With ``perception.sides=true`` each side follows the heights ahead of its own tracks, over what
+    lies below them. A pair takes the mean of both sides. ``margin`` is not used.
     """
 
     def act(self, p: Perception) -> tuple[float, ...]:
@@ -30,9 +30,10 @@ class OkadaSides(Okada):
 
 
 def below(p: Perception) -> list[FloatArray]:
-    """Return the highest points of the bins below the left and the right tracks, each (N, 2) [m].
+    """Return the highest points of the bins of the left and the right side, each (N, 2) [m].
 
-    They are in frame L. Without sides, both are the ground below the whole width.
+    They are in frame L. What a side has below the chassis counts as what the whole width has there,
+    so that leaning ground is as level ground. Without sides, both are the points of the whole width.
     """
     layout = p.layout
     if not layout.sides:
@@ -40,4 +41,6 @@ def below(p: Perception) -> list[FloatArray]:
     x = layout.bin_width * (np.arange(layout.bins) + 0.5) - layout.reach
     # Below the whole width, the left and the right tracks; means before highest points
     kinds = p.observation[: layout.heights].reshape(3, -1, layout.bins)
-    return [np.column_stack([x, kinds[side, -1]]) for side in (1, 2)]
+    chassis = abs(x) <= p.robot.hinge_offset
+    lower = kinds[0, 0, chassis].mean() - kinds[1:, 0, chassis].mean(axis=1)
+    return [np.column_stack([x, kinds[1 + i, -1] + lower[i]]) for i in range(2)]
