@@ -6,6 +6,7 @@
 #   make ros     runs the tests on real rclpy of two distributions at a time, which it installs
 #   make long    runs the tests marked as long, each night; about half an hour
 #   make check runs the static checks and the quick tests, for use while one works
+#   make gallery  makes the pictures of docs/gallery.md anew
 #   make docs  builds the documentation in build/docs, without the network; a warning is an error
 PYTHON ?= python3
 VENV := .venv
@@ -16,7 +17,7 @@ DECISIONS ?= 30000
 # A module is compiled when it is first used; pip would compile all, 0.2 GB that nobody reads.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: install setup train check test ros long static tests quick-tests docs clean
+.PHONY: install setup train check test ros long static tests quick-tests gallery docs clean
 
 install: $(VENV)/ready
 
@@ -42,6 +43,16 @@ train: install
 	$(BIN)/flipperctl eval "$$(ls -td runs/uplift/make_* | head -n 1)" \
 		--episodes 50 --baseline level,geometric
 	@echo "To type flipperctl in this shell: . $(VENV)/bin/activate"
+
+KINDS := step stair building_stair ramp uplift gap wave rubble pallet plum
+comma := ,
+empty :=
+
+gallery: install
+	$(BIN)/flipperctl eval generalist geometric level --baseline none --episodes 1 --seed 3 \
+		terrain=$(subst $(empty) ,$(comma),$(KINDS)) --output build/gallery
+	for kind in $(KINDS); do $(BIN)/flipperctl plot build/gallery --kind poses --scene $$kind \
+		--output docs/images/gallery_$$kind.png || exit; done
 
 # The static checks stand back behind the tests, which run beside them.
 check: setup
