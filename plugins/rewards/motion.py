@@ -61,15 +61,8 @@ class ShapedProgress(Shaping):
         return -limited(left / self.distance, 0.0, 1.0)
 
 
-@reward("swing")
-class Swing(RewardTerm):
-    """Penalise pitch variation within the decision, from poses at 100 Hz.
-
-    Below the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
-    ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
-    within a decision. With ``at_decisions`` it does not; its sum is then proportional to the
-    paper's θ̂_R (the measure ``pitch_variation_decisions``). It is 0 without a path.
-    """
+class Rocking(RewardTerm):
+    """A penalty on turns of the chassis, up to a cap."""
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
     elementwise: ClassVar[bool] = True
@@ -80,6 +73,18 @@ class Swing(RewardTerm):
         description="slope of the penalty; the cap of 1 is reached at 1/slope rad in a decision "
         "[1/rad]",
     )
+
+
+@reward("swing")
+class Swing(Rocking):
+    """Penalise pitch variation within the decision, from poses at 100 Hz.
+
+    Below the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
+    ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
+    within a decision. With ``at_decisions`` it does not; its sum is then proportional to the
+    paper's θ̂_R (the measure ``pitch_variation_decisions``). It is 0 without a path.
+    """
+
     at_decisions: bool = Field(
         False,
         description="whether only the pitch change from one decision to the next counts [-]",
@@ -95,21 +100,11 @@ class Swing(RewardTerm):
 
 
 @reward("roll")
-class Roll(RewardTerm):
+class Roll(Rocking):
     """Penalise the change of the roll from one decision to the next; 0 in the side plane.
 
     It is to ``roll_variation_100hz`` what ``swing`` with ``at_decisions`` is to the pitch's.
     """
-
-    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
-    elementwise: ClassVar[bool] = True
-    slope: float = Field(
-        1.0,
-        gt=0,
-        le=1000,
-        description="slope of the penalty; the cap of 1 is reached at 1/slope rad in a decision "
-        "[1/rad]",
-    )
 
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]."""
