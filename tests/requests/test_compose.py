@@ -175,3 +175,9 @@ def test_a_configuration_folder_leaves_the_checks_of_a_training(tmp_path: Path) 
     assert done.code == 2, done.err
     assert "sim.friction=0.5: it has no effect, since randomise.sim.friction=" in done.err
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize("name", ["four", "quick", "refined", "sides", "taught"])
+def test_an_experiment_takes_another_terrain(name: str) -> None:
+    (config,) = compose_train([f"experiment={name}", "terrain=uplift"])
+    assert config.terrain.plugin_name == "uplift"
