@@ -189,7 +189,9 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         sections = config.with_sampled_values(sampled)
         self.engine, self.robot, _ = sections
         self._sections = sections
-        # An error names the seed of its episode, so that it can be repeated.
+        # An error names the seed of its episode, so that it can be repeated, if it drew anything.
+        drawing = terrain_rng.bit_generator, start_rng.bit_generator
+        undrawn = [generator.state for generator in drawing]
         try:
             self.profile = self._generate(terrain_rng, difficulty)
             starts = self._place(start_rng)
@@ -198,7 +200,8 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
                 starts = self._place(start_rng)
             start.check_placed(self.drive.world, self._start, config, self.profile)
         except Exception as error:  # whatever it is, it goes on with the seed
-            if seed is not None:
+            drew = bool(sampled) or [generator.state for generator in drawing] != undrawn
+            if seed is not None and drew:
                 error.add_note(f"the episode's seed is {seed}")
             raise
         self._rngs = rngs[0], rngs[1]

@@ -77,6 +77,10 @@ def test_ground_that_fails_for_some_seeds_alone_names_the_seed(tmp_path: Path) -
     seed = error.rpartition("; the episode's seed is ")[2].strip()
     repeat = ["inspect", "terrain", "odd", "--seed", seed, "--draws", "1"]
     assert refused(*repeat, *mine, cwd=tmp_path) == error
+    # What fails before anything is drawn fails for every seed
+    absent = refused("inspect", "terrain", "profile_file", "terrain.path=none.csv", cwd=tmp_path)
+    assert "none.csv" in absent
+    assert "seed" not in absent
 
 
 def test_a_reward_that_returns_nan_is_named_and_stops(tmp_path: Path) -> None:

@@ -252,6 +252,7 @@ def test_an_error_of_a_plugin_is_its_own() -> None:
     @terrain("moody")
     class Moody(Terrain):
         def generate(self, rng: np.random.Generator) -> Profile:
+            rng.random()  # the seed is told of what depends on it
             raise KeyError("seven")
 
     @terrain("patient")
