@@ -1,0 +1,100 @@
+"""Where the numbers of a report come from: policies, versions, conditions and commands.
+
+In: a folder that ``eval --output`` wrote. Out: the report's last section.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+
+from flipperctl.evaluation import store
+from flipperctl.evaluation.names import names as short_names
+from flipperctl.process.session import command
+from flipperctl.text.show import Column, Table, html
+from flipperctl.views.summary import Document, named
+
+
+def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
+    """Return what the numbers of a report come from, as HTML.
+
+    ``folder``: the results; ``document``: their summary; ``marks``: colour of each policy's name.
+    """
+    # The stored blocks say which policies and versions the numbers come from.
+    headers = [
+        header
+        for header in store.headers(folder / store.FOLDER)
+        if header["conditions_hash"]
+        in {scene["conditions"]["hash"] for scene in document["scenes"]}
+    ]
+    # Versions and commits, each once
+    versions: dict[str, dict[str, None]] = {}
+    for header in headers:
+        for name, version in header.get("versions", {}).items():
+            versions.setdefault(name, {})[str(version)] = None
+    facts = {name: " and ".join(values) for name, values in versions.items()}
+    if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):
+        facts["commit"] = " and ".join(commits)
+    # Policies by the digest of their weights or settings, and scenes with their conditions
+    called = short_names([header["controller"] for header in headers])
+    order = {policy: place for place, policy in enumerate(marks)}
+    policies = sorted(
+        {(called[h["controller"]], h["training_seed"], h["policy"]) for h in headers},
+        key=lambda policy: (order.get(policy[0], len(order)), policy[1] or 0, policy[2]),
+    )
+    played = Table(
+        (
+            Column("policy", "policy", named=True),
+            Column("seed", "training seed", named=True),
+            Column("digest", "SHA-256 of weights or settings", named=True),
+        ),
+        [
+            {"policy": name, "seed": "–" if seed is None else str(seed), "digest": digest}
+            for name, seed, digest in policies
+        ],
+    )
+    places = Table(
+        tuple(
+            Column(key, heading, named=True)
+            for key, heading in (
+                ("scene", "scene"),
+                ("conditions", "conditions"),
+                ("hash", "their hash"),
+                ("engine", "engine"),
+                ("seed", "seed"),
+                ("episodes", "episodes"),
+            )
+        ),
+        list(
+            {
+                (name, scene["seed"]): {
+                    "scene": name,
+                    "conditions": scene["conditions"]["name"],
+                    "hash": scene["conditions"]["hash"],
+                    "engine": scene["conditions"]["sim"]["name"],
+                    "seed": str(scene["seed"]),
+                    "episodes": str(scene["episodes"]),
+                }
+                for name, scene in named(document)
+            }.values()
+        ),
+    )
+    # The commands that repeat the results and this page
+    commands = [
+        *([document["command"]] if "command" in document else []),
+        command("report", folder),
+    ]
+    listed = "".join(
+        f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in facts.items()
+    )
+    return "\n".join(
+        [
+            *(f"<pre>{escape(text)}</pre>" for text in commands),
+            f"<dl>{listed}</dl>",
+            html(played, marks),
+            html(places, {}),
+            '<p class="note">Equal hashes of the conditions mean equal scenes; with equal seeds '
+            "every policy meets the same ground, start and physics.</p>",
+        ]
+    )
