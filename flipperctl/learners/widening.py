@@ -19,16 +19,16 @@ def seen_by(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> 
     Its shape is (F · m, F · n) for observations of m and n numbers. Sides stand between an
     observation's heights and the angles of its joints, which end before the pitch.
     """
-    one = torch.zeros(wide.size, layout.size)
+    single = torch.zeros(wide.size, layout.size)
     for place in range(layout.heights):
-        one[place, place] = 1.0
+        single[place, place] = 1.0
     # Angle of a pair: the mean of its flippers
     each = len(wide.joints) // len(layout.joints)
     for joint in range(len(layout.joints)):
         first = wide.size - 1 - len(wide.joints) + joint * each
-        one[first : first + each, layout.size - 1 - len(layout.joints) + joint] = 1 / each
-    one[-1, -1] = 1.0
-    return torch.kron(torch.eye(frames), one)
+        single[first : first + each, layout.size - 1 - len(layout.joints) + joint] = 1 / each
+    single[-1, -1] = 1.0
+    return torch.kron(torch.eye(frames), single)
 
 
 def branches_of(joints: int, more: int) -> torch.Tensor:

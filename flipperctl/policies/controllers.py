@@ -105,9 +105,11 @@ class PluginPolicy:
         """Return the controller's action."""
         with self._calling("act"):
             answer: object = self._policy.act(p)
-            pairs, rates = as_action(answer), as_action(answer, self._joints)
-        if pairs is not None:
-            return of_pairs(pairs, self._joints)
+            action = as_action(answer)
+            # An index, or rates of both pairs, are of pairs; else they are rates of each flipper.
+            if action is not None:
+                return of_pairs(action, self._joints)
+            rates = as_action(answer, self._joints)
         if not isinstance(rates, tuple):
             raise self._refusal("act", answer, allowed())
         return rates

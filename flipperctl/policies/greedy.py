@@ -21,6 +21,7 @@ from flipperctl.api import (
     ValuedPolicy,
     controller,
 )
+from flipperctl.core.targets import Action, actions_of
 from flipperctl.errors import ConfigError
 
 
@@ -80,12 +81,14 @@ class GreedyPolicy:
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode; nothing is remembered."""
 
-    def act(self, p: Perception) -> int:
-        """Return the index of the action with the largest Q-value."""
-        return int(self.costs(p).argmin())
+    def act(self, p: Perception) -> Action:
+        """Return the index of the action with the largest Q-value, or the rates of its turns."""
+        best, joints = int(self.costs(p).argmin()), len(p.layout.joints)
+        # The index of a controller is one of pairs; four flippers take rates.
+        return best if joints == 2 else tuple(map(float, actions_of(joints)[best]))
 
     def costs(self, p: Perception) -> FloatArray:
-        """Return the negated Q-values, (9,) [-]."""
+        """Return the negated Q-values, (3^J,) [-]."""
         total = sum(np.asarray(policy.q_values(p), np.float64) for policy in self._valued)
         return np.asarray(total / -len(self._valued), np.float64)
 

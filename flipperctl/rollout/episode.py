@@ -46,9 +46,9 @@ NO_LABEL = np.zeros(len(ACTIONS), np.float32)
 class EpisodeRecorder:
     """Collects the decisions of one episode at a time."""
 
-    def __init__(self, robot: Robot | None = None) -> None:
+    def __init__(self, robot: Robot) -> None:
         """Record episodes of ``robot``; ConfigError for one with other joints than pairs."""
-        if robot is not None and robot.flippers != "pairs":
+        if robot.flippers != "pairs":
             raise ConfigError(
                 "robot.flippers: episodes are recorded of pairs alone, for files, drives and "
                 "searches of settings"

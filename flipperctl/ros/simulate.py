@@ -211,9 +211,9 @@ class TopicRobot(Observer):
         speed = speeds.get("belts", 0.0)
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         with self._heard:
-            told = tuple(targets) if all(map(math.isfinite, targets)) else None
+            goal = tuple(targets) if all(map(math.isfinite, targets)) else None
             valid, now = self.devices.limits.valid_for, self._now
-            self._watch.take(now, stamp, valid, speed != 0, told)
+            self._watch.take(now, stamp, valid, speed != 0, goal)
             self._speed = speed
             self.numbers.commands += 1
             self._answered = max(self._answered, stamp)

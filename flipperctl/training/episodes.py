@@ -154,11 +154,12 @@ class TrainingRecorder:
     def __init__(self, config: TrainConfig, directory: Path) -> None:
         self._config, self._directory = config, directory
         self._on, self._size = config.train.record, config.perception.size
-        self._running, self._new = EpisodeRecorder(), list[RecordedEpisode]()
+        self._running = EpisodeRecorder(config.robot) if self._on else None
+        self._new: list[RecordedEpisode] = []
 
     def add(self, step: Step, number: int) -> None:
         """Add a step of episode ``number``, counted from 0."""
-        if not self._on:
+        if self._running is None:
             return
         assert isinstance(step.action, int)  # of such a training
         newest = slice(-self._size, None)  # of the frames in the network's input
@@ -174,7 +175,8 @@ class TrainingRecorder:
 
     def drop(self) -> None:
         """Discard the running episode."""
-        self._running.drop()
+        if self._running is not None:
+            self._running.drop()
 
     def save(self) -> None:
         """Write the episodes that have ended since the last call, completely or not at all."""

@@ -1,6 +1,7 @@
 """Rules that need no training: baselines, and one that follows the terrain."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Self
 
@@ -184,8 +185,13 @@ def towards(p: Perception, front: float, rear: float) -> int:
 
     A pair within half an angle step of it is held.
     """
-    turns = (
-        round((target - angle) / p.robot.angle_step)
-        for target, angle in ((front, p.front), (rear, p.rear))
-    )
-    return action_index(*(max(-1, min(1, turn)) for turn in turns))
+    return action_index(*turns_to((front, rear), (p.front, p.rear), p.robot.angle_step))
+
+
+def turns_to(targets: Sequence[float], angles: Sequence[float], step: float) -> list[int]:
+    """Return the turn of each joint, one ``step`` towards its target, or none within half of it.
+
+    ``targets`` and measured ``angles`` are of J joints, as ``step`` in rad.
+    """
+    turns = (round((target - angle) / step) for target, angle in zip(targets, angles, strict=True))
+    return [max(-1, min(1, turn)) for turn in turns]

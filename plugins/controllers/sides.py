@@ -6,8 +6,9 @@ import numpy as np
 from pydantic import Field
 
 from flipperctl.api import FloatArray, Perception, controller
+from flipperctl.core.targets import angles_of
 
-from .rules import Okada
+from .rules import Okada, turns_to
 
 
 @controller("okada_sides")
@@ -32,10 +33,8 @@ class OkadaSides(Okada):
         ends = (1.0, False), (self.rear_gain, True)
         # At the front and at the rear, left and right, (2, 2) [rad]
         targets = np.array([[g * self.angle(s, rear=rear) for s in sides] for g, rear in ends])
-        measured = p.flippers or (p.front, p.rear)
-        wanted = targets.ravel() if p.flippers else targets.mean(axis=1)
-        turns = np.round((wanted - measured) / p.robot.angle_step)
-        return tuple(np.clip(turns, -1.0, 1.0).tolist())
+        goals = targets.ravel() if p.flippers else targets.mean(axis=1)
+        return tuple(map(float, turns_to(goals.tolist(), angles_of(p), p.robot.angle_step)))
 
 
 def below(p: Perception, leaning: float) -> list[FloatArray]:

@@ -13,7 +13,8 @@ from flipperctl.core.targets import actions_of
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.export.policy import export
-from flipperctl.policies.source import ExportedPolicy, load_policy
+from flipperctl.policies.greedy import Greedy
+from flipperctl.policies.source import ExportedPolicy, controller_policy, load_policy
 from flipperctl.rollout.episode import decisions
 from flipperctl.training.trainer import Trainer
 from tests.short import few
@@ -94,3 +95,14 @@ def test_a_training_of_four_drives_equally_from_its_file(tmp_path: Path, kind: s
         action = decision.action if decision.rates is None else decision.rates
         assert exported.act(decision.perception) == action
     assert exported.interface.joints[0] == "front_left"
+    # The controller greedy, of a file with Q-values, turns as it does
+    if kind == "turns":
+        greedy = Greedy(policy=str(tmp_path))
+        policy = controller_policy(greedy, env.config)
+        env.reset(seed=7)
+        policy.reset(env.simulator())
+        for _ in range(3):
+            index, rates = exported.act(env.perception), policy.act(env.perception)
+            assert isinstance(index, int)
+            assert rates == actions_of(4)[index]
+            env.step(rates)

@@ -110,7 +110,7 @@ _LIMITS: Mapping[type[Pose | Joints | Inertial | Belts], Mapping[str, float]] = 
     kind: {
         field.name: _LARGEST.get(field.name, _LARGEST_ANGLE)
         for field in fields(kind)
-        if field.name != "flippers"
+        if field.type == "float"  # the others are checked apart
     }
     for kind in (Inertial, Belts, Joints, Pose)
 }
