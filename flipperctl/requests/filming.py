@@ -19,6 +19,7 @@ from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import Progress
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import EvaluationSeeds
+from flipperctl.text.messages import counted
 
 if TYPE_CHECKING:
     from flipperctl.figures.film import Take
@@ -130,7 +131,7 @@ def film_training(run: Path, config: TrainConfig, path: Path, tell: Callable[[st
         name = f"after {decision:,} decisions"
         part = Part(name, config.environment(), load_policy(file), seed)
         takes.append(Take(f"{config.terrain.plugin_name}, episode 0", [part]))
-    tell(f"filming the policies of {len(takes)} validations on one episode …")
+    tell(f"filming the policies of {counted(len(takes), 'validation')} on one episode …")
     film(path, takes)
     tell(f"wrote {path}")
 

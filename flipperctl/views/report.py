@@ -234,7 +234,7 @@ _DRAWN = {
     "differences": "Differences of pitch variation to {ruler} on the same episodes (dots), with "
     "the mean and its interval. A failed episode counts 2π rad, and a crossing at most that.",
     "profiles": "Performance profiles: the share of all episodes that reached the finish with at "
-    "most this pitch variation, with 95 % bands. A curve ends at the success rate.",
+    "most this pitch variation, with 95 % intervals. A curve ends at the success rate.",
 }
 
 
