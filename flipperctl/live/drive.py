@@ -237,7 +237,7 @@ class Person:
         floor = self._page.stage.begin([env.profile])
         self._scene.begin(env.profile, robot, shown.finish, floor)
         self._scene.show(env.state)
-        self._page.stage.follow([env.state])
+        self._page.stage.follow([(self._scene, env.state)])
         world = env.drive.world
         self._cameras = isinstance(world.of_engine, CameraWorld)
         # What the page needs to draw the robot and its gauges
@@ -292,7 +292,7 @@ class Person:
         if self.count % _SCENE == 0:
             with page.gate.server.atomic():
                 self._scene.show(state)
-                page.stage.follow([state])
+                page.stage.follow([(self._scene, state)])
         self._draw(world)
         self._wait()
         # What the person's hands do at the tick itself

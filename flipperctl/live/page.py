@@ -315,7 +315,8 @@ class WatchPage:
             scene.begin(env.profile, env.robot, env.scene.finish, floor, lane.entrant.label)
             scene.show(start.states[0])
             self._show_gauges(number, gauges(number, lane, start))
-        self._stage.follow([start.states[0] for start in starts])
+        scenes = [scene for _, scene in self._lanes]
+        self._stage.follow([(s, start.states[0]) for s, start in zip(scenes, starts, strict=True)])
         drawn = f"seed {seed}" if seed else f"episode {self._episode}"
         self._title = self._lanes[0][0].title
         if not self._lanes[0][0].recorded:
@@ -345,11 +346,11 @@ class WatchPage:
         for index in range(longest):
             begun = time.perf_counter()
             with self._gate.server.atomic():
-                states = [m.states[min(index, len(m.states) - 1)] for _, m in shown]
-                for (scene, _), state in zip(shown, states, strict=True):
+                robots = [(s, m.states[min(index, len(m.states) - 1)]) for s, m in shown]
+                for scene, state in robots:
                     scene.show(state)
                 if self._fields["follow"]:
-                    self._stage.follow(states)
+                    self._stage.follow(robots)
             spent = time.perf_counter() - begun
             self._wait(PERIOD / max(0.1, self._fields["speed"]) - spent)
 

@@ -49,10 +49,15 @@ _LIGHTS = {False: (3.9, 2.25), True: (2.3, 1.2)}
 has its own colour."""
 _ANGLE = math.radians(30)  # vertical angle of view
 _AZIMUTH, _ELEVATION = math.radians(72), math.radians(16)  # of the camera, as in films
+_TOWARDS = np.array(
+    [*(math.cos(_ELEVATION) * np.array([math.cos(_AZIMUTH), math.sin(_AZIMUTH)])),
+     -math.sin(_ELEVATION)]
+)  # fmt: skip
+"""Where the camera looks, (3,)."""
 _DISTANCE, _FARTHER = 5.4, 1.3  # of the camera from one robot, and for each further lane [m]
 _AHEAD, _ABOVE = 0.5, 0.1  # where the camera looks, seen from the robot [m]
 _RISE = 0.05  # part of the robots' rise that the camera follows at each state [-]
-_TOGETHER = 1.0  # largest distance of the camera's middle behind the foremost robot [m]
+_APART = 1.2  # difference of the robots' heights from which on they are shown from farther away [m]
 _TRACKS = MujocoSettings()
 """Where the tracks lie beside the chassis."""
 _BESIDE = -WIDTH / 2 - 0.02
@@ -69,7 +74,11 @@ PLAN, MAP = "#DDAA33", "#33BBEE"
 
 
 class Stage:
-    """What all lanes share: sky, lights, floor, and a camera that follows the robots."""
+    """What all lanes share: sky, lights and floor, and a camera that stands still.
+
+    Ground moves below the robots instead: each stays at its place in the picture, beside the
+    others, however far they are apart.
+    """
 
     def __init__(self, server: Any) -> None:
         """``server``: a ``viser.ViserServer``, whose panel stays empty."""
@@ -89,8 +98,10 @@ class Stage:
         )
         self._world = scene.add_frame("/drive", show_axes=False)
         self._floor: Any = None
+        self._heights: dict[LiveScene, float] = {}
+        """z of each robot [m]."""
         self._height: float | None = None
-        """z that the camera follows; None before the first state of an episode [m]."""
+        """z in the middle of the picture; None before the first state of an episode [m]."""
         self._dark, self._lanes = False, 1
         self.set_dark(False)
         self.look_at_lanes(1)
@@ -123,9 +134,7 @@ class Stage:
         self._lanes = count
         self._add_haze()
         middle = np.array([_AHEAD, (count - 1) / 2 * (WIDTH + _BETWEEN), _ABOVE])
-        flat = math.cos(_ELEVATION)
-        towards = [flat * math.cos(_AZIMUTH), flat * math.sin(_AZIMUTH), -math.sin(_ELEVATION)]
-        place = middle - (_DISTANCE + _FARTHER * (count - 1)) * np.array(towards)
+        place = middle - (_DISTANCE + _FARTHER * (count - 1)) * _TOWARDS
         cameras = [client.camera for client in self._server.get_clients().values()]
         for camera in (self._server.initial_camera, *cameras):
             camera.position, camera.look_at = tuple(place), tuple(middle)
@@ -139,18 +148,23 @@ class Stage:
             "/floor", np.insert(corners, 2, z, axis=1).astype(np.float32),
             np.array([[0, 1, 2], [0, 2, 3]], np.uint32), color=_surface(_FLOOR), cast_shadow=False,
         )  # fmt: skip
-        self._height = None
+        self._heights, self._height = {}, None
         return z
 
-    def follow(self, states: Sequence[RobotState]) -> None:
-        """Keep the robots in view, the foremost at least."""
-        places = [float(state.position[0]) for state in states]
-        middle = max((min(places) + max(places)) / 2, max(places) - _TOGETHER)
-        height = float(np.mean([state.position[1] for state in states]))
-        before = height if self._height is None else self._height
-        self._height = before + _RISE * (height - before)
-        self._world.position = (-middle, 0.0, -self._height)
-        self._floor.position = (0.0, 0.0, -self._height)
+    def follow(self, robots: Sequence[tuple[LiveScene, RobotState]]) -> None:
+        """Keep the robots that move, and those that have ended, in view."""
+        for lane, state in robots:
+            lane.follow(state)
+            self._heights[lane] = float(state.position[1])
+        heights = list(self._heights.values())
+        middle = (min(heights) + max(heights)) / 2
+        before = middle if self._height is None else self._height
+        self._height = before + _RISE * (middle - before)
+        # Robots on a stair and at its foot need a larger part of the world.
+        apart = max(0.0, max(heights) - min(heights) - _APART)
+        x, y, z = apart / (2 * math.tan(_ANGLE / 2)) * _TOWARDS
+        self._world.position = (x, y, z - self._height)
+        self._floor.position = (x, y, z - self._height)
 
 
 class LiveScene:
@@ -197,6 +211,10 @@ class LiveScene:
         self._label = self._scene.add_frame(f"{self._name}/label", show_axes=False)
         if label:
             self._scene.add_label(f"{self._name}/label/text", label, anchor="bottom-left")
+
+    def follow(self, state: RobotState) -> None:
+        """Move the lane so that its robot is at x = 0."""
+        self._root.position = (-float(state.position[0]), self._side, 0.0)
 
     def _build(self, robot: RobotGeometry) -> None:
         self._robot = robot

@@ -297,11 +297,16 @@ def latex(table: Table) -> str:
         cells = [
             (r"\quad " if text.startswith(" ") else "") + latex_text(text)
             if column.named
-            else latex_text(_NEGATIVE.sub("−", text.replace(NONE, "--")))
+            else latex_text(with_minus(text.replace(NONE, "--")))
             for text, column in zip(texts, table.columns, strict=True)
         ]
         rows_text.append(" & ".join(cells) + r" \\")
     return "\n".join([*rows_text, r"\bottomrule", r"\end{tabular}}", ""])
+
+
+def with_minus(text: str) -> str:
+    """Return the text with the sign of its negative numbers as printed matter has it."""
+    return _NEGATIVE.sub("−", text)
 
 
 def latex_text(text: str) -> str:
@@ -349,7 +354,8 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
             dot = f'<i class="dot" style="--c:var(--{marks[text]})"></i>' if text in marks else ""
             name = part if column is shown[0] else ""
             bar = _bar(row, column, group) if kind == "number" else ""
-            inner.append(f'<td class="{kind}">{dot}{escape(name + text)}{bar}</td>')
+            said = with_minus(text) if kind == "number" else text
+            inner.append(f'<td class="{kind}">{dot}{escape(name + said)}{bar}</td>')
         body.append(f'<tr class="{"part" * bool(row.get("dim"))}"{style}>{"".join(inner)}</tr>')
         # The axis of the bars stands below the last row of its group.
         scales = [
@@ -358,7 +364,7 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
         ]
         if row is group[-1] and any(scales):
             ends = [
-                f"<span>{end[0]:.3g}</span><span>{end[1]:.3g}</span>" if end else ""
+                with_minus(f"<span>{end[0]:.3g}</span><span>{end[1]:.3g}</span>") if end else ""
                 for end in scales
             ]
             axes = "".join(f"<td>{text and f'<div class=ends>{text}</div>'}</td>" for text in ends)
@@ -370,7 +376,7 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
         f'<th scope="col" class="{kind}">{escape(column.heading)}</th>'
         for column, kind in zip(shown, kinds, strict=True)
     )
-    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in table.notes)
+    notes = "".join(f'<p class="note">{escape(with_minus(note))}</p>' for note in table.notes)
     return (
         f'{title}<div class="wide" tabindex="0" role="region" aria-label="{escape(table.title)}">'
         f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>{notes}"

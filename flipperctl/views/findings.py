@@ -14,6 +14,7 @@ import numpy as np
 
 from flipperctl.api import Outcome
 from flipperctl.evaluation.rows import Row
+from flipperctl.text.show import with_minus
 from flipperctl.views import evaluation
 from flipperctl.views.summary import Document, rate_text
 
@@ -28,8 +29,8 @@ RULE = (
 """How the sentences are meant."""
 
 
-Gaps = Mapping[tuple[str, str], Mapping[str, Any] | None]
-"""Difference to the ruler on the same episodes with its interval, by scene and policy."""
+Gaps = Mapping[tuple[str, str, str], Mapping[str, Any] | None]
+"""Difference on the same episodes with its interval, by scene, policy and who it is compared to."""
 
 
 def findings(evaluated: Document, gaps: Gaps = MappingProxyType({})) -> Iterator[tuple[str, str]]:
@@ -39,9 +40,8 @@ def findings(evaluated: Document, gaps: Gaps = MappingProxyType({})) -> Iterator
     """
     rows = table_rows(evaluated)
     stored = {
-        (difference["scene"], difference["policy"]): difference["variation"]
+        (difference["scene"], difference["policy"], difference["against"]): difference["variation"]
         for difference in evaluation.difference_rows(evaluated)
-        if difference["against"] == RULER
     }
     known = {**gaps, **stored}
     further = {at: gap for at, gap in gaps.items() if at not in stored}
@@ -51,12 +51,12 @@ def findings(evaluated: Document, gaps: Gaps = MappingProxyType({})) -> Iterator
 def _compared(gaps: Gaps) -> Iterator[tuple[str, str]]:
     """Yield the differences of each policy to the ruler."""
     texts: dict[str, list[str]] = {}
-    for (scene, policy), gap in gaps.items():
-        if gap is not None and gap["low"] is not None:
+    for (scene, policy, other), gap in gaps.items():
+        if other == RULER and gap is not None and gap["low"] is not None:
             ends = f"[{gap['low']:+.2f}, {gap['high']:+.2f}]"
             texts.setdefault(policy, []).append(f"{gap['mean']:+.2f} {ends} rad on {scene}")
     for policy, parts in texts.items():
-        words = "; ".join(parts).replace("-", "−")
+        words = with_minus("; ".join(parts))
         yield "", f"**{policy}** against **{RULER}**, same episodes, failures counted: {words}."
 
 
@@ -135,10 +135,10 @@ def _is_better(row: Row, other: Row, scene: str, gaps: Gaps) -> bool:
     first, second = row["policy"], other["policy"]
     if _is_above(row["success"], other["success"]["high"]):
         return True
-    gap = gaps.get((scene, first if second == RULER else second))
-    if gap is not None and RULER in (first, second):
-        high = gap["high"]
-        return _is_above(gap, 0.0) if first == RULER else high is not None and high < 0
+    if (gap := gaps.get((scene, second, first))) is not None:
+        return _is_above(gap, 0.0)
+    if (gap := gaps.get((scene, first, second))) is not None:
+        return gap["high"] is not None and gap["high"] < 0
     mine, theirs = row[VARIATION], other[VARIATION]
     return bool(mine and theirs) and _is_above(theirs, mine["high"])
 
@@ -152,22 +152,27 @@ def _words(row: Row) -> str:
 
 
 def _against(best: Row, scene_rows: Mapping[str, Row]) -> str:
-    """Return how much better the best is than the ruler, or than the second best."""
+    """Return how much better the best is than the second best, and than the ruler."""
     others = sorted((row for row in scene_rows.values() if row is not best), key=rank)
-    other = scene_rows.get(RULER, others[-1])
-    other = others[-1] if other is best else other
-    best_variation, other_variation = best[VARIATION], other[VARIATION]
-    name = f"**{other['policy']}**"
-    if best["success"]["mean"] > other["success"]["mean"]:
-        return f"; {name} reached the finish in {rate_text(other['success'])}"
-    if not (best_variation and other_variation):
+    ruler = scene_rows.get(RULER, others[-1])
+    rivals = [others[-1]] + [ruler] * (ruler is not others[-1] and ruler is not best)
+    less = [
+        f"{name} reached the finish in {rate_text(other['success'])}"
+        for other in rivals
+        if (name := f"**{other['policy']}**") and best["success"]["mean"] > other["success"]["mean"]
+    ]
+    if less:
+        return f"; {' and '.join(less)}"
+    means = [(row["policy"], row[VARIATION]["mean"]) for row in rivals if row[VARIATION]]
+    if not best[VARIATION]:
         return ""
-    less = (
-        100 * (1 - best_variation["mean"] / other_variation["mean"])
-        if other_variation["mean"]
-        else 0.0
-    )
-    return f", with {less:.0f} % less than {name} ({other_variation['mean']:.2f} rad)"
+    mine = best[VARIATION]["mean"]
+    texts = [
+        f"{100 * (1 - mine / theirs):.0f} % less than **{name}** ({theirs:.2f} rad)"
+        for name, theirs in means
+        if theirs
+    ]
+    return f", with {' and '.join(texts)}" if texts else ""
 
 
 def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
@@ -202,7 +207,11 @@ def _losses(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
         ruler = scene_rows.pop(RULER, {})
         for policy, row in scene_rows.items() if ruler else ():
             compared = True
-            variation, still, gap = row[VARIATION], ruler[VARIATION], gaps.get((scene, policy))
+            variation, still, gap = (
+                row[VARIATION],
+                ruler[VARIATION],
+                gaps.get((scene, policy, RULER)),
+            )
             name = f"**{policy}** on {scene}"
             if _is_above(ruler["success"], row["success"]["high"]):
                 worse.append(f"{name} (success {rate_text(row['success'])})")

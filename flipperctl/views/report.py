@@ -147,24 +147,30 @@ def _facts(document: Document) -> Iterator[str]:
 
 
 def _gaps(folder: Path, policies: Sequence[str]) -> Gaps:
-    """Return the differences of all policies to the ruler; none where these cannot be compared."""
+    """Return the differences of all pairs of policies; none where these cannot be compared."""
     from flipperctl.views.plot import Request, compared, differences
 
-    if RULER not in policies or len(policies) < 2:
+    if len(policies) < 2:
         return {}
     request = Request([str(folder)])
     try:
         comparison, called, _ = compared(request)
-        rows = list(differences(comparison, called, VARIATION, RULER))
+        rows = [
+            row | {"against": called[other]}
+            for other in called
+            for row in differences(comparison, called, VARIATION, other)
+        ]
     except (RequestError, ValueError):  # as of scenes or settings that not all policies share
         return {}
     # Rows of the table name the number of training seeds.
     names = {re.sub(r" \(\d+ seeds\)$", "", policy): policy for policy in policies}
     scenes = request.scenes()
     return {
-        (scenes.get(row["scene"], row["scene"]), names.get(row["method"], row["method"])): row[
-            VARIATION
-        ]
+        (
+            scenes.get(row["scene"], row["scene"]),
+            names.get(row["method"], row["method"]),
+            names.get(row["against"], row["against"]),
+        ): row[VARIATION]
         for row in rows
     }
 

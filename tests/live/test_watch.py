@@ -4,8 +4,9 @@ import io
 import json
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -223,9 +224,9 @@ def test_the_light_of_the_day_shows_the_colours_of_films() -> None:
         assert scene._AFTER_CURVE @ v == pytest.approx(scene._linear(colour), abs=0.02)
 
 
-@pytest.mark.parametrize("count", [2, 4])
-def test_a_name_lies_over_no_robot(count: int) -> None:
-    server, robot = MagicMock(), Robot()
+def in_picture(count: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return what gives places in a picture of ``count`` lanes, (P, 2), in halves of its height."""
+    server = MagicMock()
     scene.Stage(server).look_at_lanes(count)
     camera = server.initial_camera
     place, towards = np.array(camera.position), np.subtract(camera.look_at, camera.position)
@@ -233,9 +234,39 @@ def test_a_name_lies_over_no_robot(count: int) -> None:
     right = np.cross(towards, [0.0, 0.0, 1.0])
     axes = np.stack([right, np.cross(right, towards)], axis=1) / np.linalg.norm(right)
     tangent = math.tan(camera.fov / 2)
+    return lambda points: (points - place) @ axes / ((points - place) @ towards)[:, None] / tangent
 
-    def seen(points: np.ndarray) -> np.ndarray:  # parts of half a picture's height, (P, 2)
-        return (points - place) @ axes / ((points - place) @ towards)[:, None] / tangent
+
+@pytest.mark.parametrize("apart", [(0.0, 0.0), (7.0, 0.0), (4.0, 2.6), (2.0, -1.8)])
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_no_robot_leaves_the_picture(count: int, apart: tuple[float, float]) -> None:
+    server = MagicMock()
+    stage = scene.Stage(server)
+    stage.begin([STEP])
+    lanes = [scene.LiveScene(server.scene, lane) for lane in range(count)]
+    for lane in lanes:
+        lane._root = MagicMock()
+    world = MagicMock()
+    stage._world = world
+    # The first robot is far ahead, and above or below the others.
+    at = np.tile([3.0, 0.1], (count, 1))
+    at[0] += apart
+    robots = [(lane, replace(STILL, position=p)) for lane, p in zip(lanes, at, strict=True)]
+    stage.follow(robots)
+    seen, half, up = in_picture(count), Robot().hinge_offset + Robot().flipper_axle + 0.1, 0.35
+    for lane, (x, z) in zip(lanes, at, strict=True):
+        corners = [
+            (dx, dy, dz) for dx in (-half, half) for dy in (-0.35, 0.35) for dz in (-0.1, up)
+        ]
+        moved = np.add(lane._root.position, world.position) + np.array([x, 0.0, z])
+        wide, high = np.abs(seen(np.add(corners, moved))).max(0)
+        assert high < 1
+        assert wide < 1.1  # of the narrowest picture, on a laptop
+
+
+@pytest.mark.parametrize("count", [2, 4])
+def test_a_name_lies_over_no_robot(count: int) -> None:
+    seen, robot = in_picture(count), Robot()
 
     def overlap(a: np.ndarray, b: np.ndarray) -> bool:
         return bool((np.minimum(a.max(0), b.max(0)) > np.maximum(a.min(0), b.min(0))).all())

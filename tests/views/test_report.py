@@ -61,6 +61,18 @@ def test_the_summary_says_who_is_best_where_a_policy_is_worse_and_what_failed(
     assert "1 of 12 episodes failed: mine 1 (1 overturned)." in told
 
 
+def test_the_best_is_told_by_the_same_difference_as_in_the_table(tmp_path: Path) -> None:
+    # Scenes differ by more than policies do: their intervals overlap, the differences are clear.
+    mine = [0.5, 1.0, 1.5, 0.6, 1.1, 1.6]
+    others = {"level": rows([v + 0.4 for v in mine]), "geometric": rows([v + 0.1 for v in mine])}
+    where = folder(tmp_path / "a", rows(mine), others)
+    page = report.page(where)
+    assert "is best, with 9 % less than geometric (1.15 rad) and 28 % less than level" in words(
+        page
+    )
+    assert "-0.1" not in unescape(sub("<[^>]+>", "", findall(r"<table>.*?</table>", page)[0]))
+
+
 def test_a_page_of_an_interrupted_evaluation_says_how_far_it_went(tmp_path: Path) -> None:
     path = folder(tmp_path / "a", rows([0.5, 0.6, 0.55] * 2))
     assert "interrupted:" not in report.page(path)
