@@ -6,13 +6,14 @@ the policy perceived, and its values. The simulation never waits for the viewer 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Outcome, Policy, RobotState, World
 from flipperctl.config import EvalConfig
+from flipperctl.core.targets import actions_of, angles_of
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.lookahead.search import Planned
@@ -61,6 +62,23 @@ class Moment:
     """What the policy planned before the decision; None for a policy without plans."""
 
 
+_TURNS = {-1: "down", 0: "hold", 1: "up"}
+
+
+def by_ends(joints: Sequence[str]) -> tuple[str, str]:
+    """Return texts of J joints as those of front and rear, left before right."""
+    half = len(joints) // 2
+    return "/".join(joints[:half]), "/".join(joints[half:])
+
+
+def action_text(decision: Decision) -> tuple[str, str]:
+    """Return how an action turns front and rear."""
+    if decision.rates is not None:
+        return by_ends([f"{rate:+.2f}" for rate in decision.rates])
+    turns = actions_of(decision.transition.flippers.shape[1])[decision.action]
+    return by_ends([_TURNS[turn] for turn in turns])
+
+
 @dataclass
 class History:
     """What has been shown of an episode, for plots."""
@@ -72,15 +90,15 @@ class History:
     risks: list[float] = field(default_factory=list)
     angle_times: list[float] = field(default_factory=list)
     """Time of each state [s]."""
-    angles: list[tuple[float, float, float, float]] = field(default_factory=list)
-    """Pitch, front, rear and roll at each state [rad]."""
+    angles: list[tuple[float, ...]] = field(default_factory=list)
+    """Pitch, angle of each joint, and roll at each state, (2 + J,) [rad]."""
     variation: float = 0.0
     """Pitch variation so far, at 100 Hz [rad]."""
 
     def add(self, moment: Moment) -> None:
         """Add a moment that is being shown."""
         self.angle_times += [state.time for state in moment.states]
-        self.angles += [(s.pitch, s.front, s.rear, s.roll) for s in moment.states]
+        self.angles += [(s.pitch, *angles_of(s), s.roll) for s in moment.states]
         if (decision := moment.decision) is not None:
             self.times.append(decision.transition.after.time)
             for name, value in decision.rewards.items():

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from flipperctl.api import ACTIONS
 from flipperctl.errors import FlipperctlError
 from flipperctl.live.gate import Gate, page_file
-from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment
+from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment, action_text
 from flipperctl.live.scene import LiveScene, Stage
 
 _AFTER = 1.5
@@ -34,7 +34,6 @@ _LONGEST = 12
 _POINTS = 300
 """Largest number of points of a curve that is sent [-]."""
 _TURN = {-1: "↓", 0: "–", 1: "↑"}
-_TURNS = {-1: "down", 0: "hold", 1: "up"}
 
 
 class _Message(BaseModel):
@@ -111,11 +110,8 @@ def gauges(number: int, lane: Lane, moment: Moment) -> dict[str, Any]:
     Angles are in degrees; the first column of a curve is time [s].
     """
     state, history, decision = moment.states[-1], lane.history, moment.decision
-    action = None
-    if decision is not None:
-        action = [_TURNS[turn] for turn in ACTIONS[decision.action]]
-        if decision.rates is not None:
-            action = [f"{rate:+.2f}" for rate in decision.rates]
+    values = moment.values
+    joints = lane.env.robot.joints
     return {
         "kind": "lane",
         "lane": number,
@@ -126,13 +122,15 @@ def gauges(number: int, lane: Lane, moment: Moment) -> dict[str, Any]:
         "x": float(state.position[0]),
         "variation": history.variation,
         **{name: math.degrees(getattr(state, name)) for name in ("pitch", "front", "rear")},
-        "action": action,
+        "action": None if decision is None else action_text(decision),
         "plan": None if moment.planned is None else plan_text(moment.planned.actions),
-        "angles": _curve(history.angle_times, np.degrees(np.reshape(history.angles, (-1, 4)))),
+        "joints": [name.replace("_", " ") for name in joints],
+        "angles": _curve(history.angle_times, np.degrees(history.angles)),
         "terms": list(history.rewards),
         "rewards": _curve(history.times, np.array(list(history.rewards.values())).T),
         "risks": _curve(history.times[-len(history.risks) :], np.reshape(history.risks, (-1, 1))),
-        "values": None if moment.values is None else np.round(moment.values, 4).tolist(),
+        # Those of four flippers would be a table of 81.
+        "values": None if values is None or len(joints) > 2 else np.round(values, 4).tolist(),
         "taken": None if decision is None else decision.action,
     }
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Perception, Profile, RobotGeometry, RobotState
 from flipperctl.api import candidate_angle as candidate
+from flipperctl.core.targets import JOINTS, alike, angles_of
 from flipperctl.sim.mujoco.appearance import (
     SKY,
     SUN,
@@ -69,6 +70,8 @@ _AFTER_CURVE = np.array(
     [[1.60475, -0.53108, -0.07367], [-0.10208, 1.10813, -0.00605], [-0.00327, -0.07276, 1.07602]]
 )
 """Mixtures of red, green and blue before and after the curve of a browser's tone mapping."""
+_PATH = {"chassis": "chassis", **{name: f"chassis/{name}" for name in JOINTS["four"]}}
+"""Names of nodes by the robot's bodies."""
 HEIGHTS, HIGHEST, INK, RAY = "#AA4499", "#DDAAD2", "#222222", "#CC3311"
 PLAN, MAP = "#DDAA33", "#33BBEE"
 
@@ -218,17 +221,16 @@ class LiveScene:
 
     def _build(self, robot: RobotGeometry) -> None:
         self._robot = robot
-        half = robot.hinge_offset
-        for end, x in (("chassis", 0.0), ("front", half), ("rear", -half)):
-            path = end if end == "chassis" else f"chassis/{end}"
-            self._parts[end] = self._scene.add_frame(
-                f"{self._name}/{path}", show_axes=False, position=(x, 0.0, 0.0)
-            )
-        for number, (body, mesh) in enumerate(robot_meshes(robot, _TRACKS)):
+        half, aside = robot.hinge_offset, _TRACKS.flipper_offset
+        for body in ("chassis", *JOINTS["four"]):
             end, _, side = body.partition("_")
-            y = {"left": 1, "right": -1, "": 0}[side] * _TRACKS.flipper_offset
-            path = body if end == "chassis" else f"chassis/{end}"
-            self._mesh(f"{path}/{number}", mesh, y)
+            place = {"front": half, "rear": -half}.get(end, 0.0)
+            self._parts[body] = self._scene.add_frame(
+                f"{self._name}/{_PATH[body]}", show_axes=False,
+                position=(place, {"left": aside, "right": -aside}.get(side, 0.0), 0.0),
+            )  # fmt: skip
+        for number, (body, mesh) in enumerate(robot_meshes(robot, _TRACKS)):
+            self._mesh(f"{_PATH[body]}/{number}", mesh)
 
     def show(self, state: RobotState) -> None:
         """Move the robot."""
@@ -239,8 +241,8 @@ class LiveScene:
         ahead = x + _NAME[0]
         self._label.position = (ahead, _NAME[1], self._profile.height(ahead))
         # A flipper that is raised by θ turns against the y axis in front, and with it at the rear.
-        self._parts["front"].wxyz = _about_y(-state.front)
-        self._parts["rear"].wxyz = _about_y(state.rear)
+        for name, angle in zip(JOINTS["four"], _four(angles_of(state)), strict=True):
+            self._parts[name].wxyz = _about_y(angle if name.startswith("rear") else -angle)
 
     def perceive(self, p: Perception, state: RobotState, mapped: FloatArray | None = None) -> None:
         """Show what the policy perceived in a state: heights, points and the candidate angle.
@@ -293,12 +295,12 @@ class LiveScene:
             point_size=size, point_shape="circle",
         )  # fmt: skip
 
-    def _mesh(self, name: str, mesh: Mesh, side: float = 0.0, *, shadow: bool = True) -> None:
+    def _mesh(self, name: str, mesh: Mesh, *, shadow: bool = True) -> None:
         corners = mesh.triangles.reshape(-1, 3).astype(np.float32)
         faces = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
         self._scene.add_mesh_simple(
             f"{self._name}/{name}", corners, faces, color=_surface(mesh.colour), flat_shading=True,
-            side="double", position=(0.0, side, 0.0), cast_shadow=shadow,
+            side="double", cast_shadow=shadow,
         )  # fmt: skip
 
     def _lines(self, name: str, points: FloatArray, colour: str, thick: float) -> None:
@@ -306,6 +308,10 @@ class LiveScene:
             f"{self._name}/{name}", points.astype(np.float32), rgb(colour), thickness=thick,
             thickness_units="screen",
         )  # fmt: skip
+
+
+def _four(angles: Sequence[float]) -> Sequence[float]:
+    return angles if len(angles) > 2 else alike(angles, 4)
 
 
 def rgb(colour: str) -> tuple[int, int, int]:

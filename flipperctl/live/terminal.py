@@ -16,8 +16,9 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from flipperctl.api import ACTIONS, FloatArray, Profile, RobotGeometry, RobotState
-from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment
+from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
+from flipperctl.core.targets import angles_of
+from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment, action_text, by_ends
 from flipperctl.sim.outline import axles
 
 _ROWS = 14
@@ -30,7 +31,6 @@ _SCALE = 0.02
 """Side of a dot [m]."""
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 """Bits of the dots of a braille character, (row, column)."""
-_TURN = {-1: "down", 0: "hold", 1: "up"}
 
 
 def picture(profile: Profile, robot: RobotGeometry, state: RobotState) -> str:
@@ -78,17 +78,15 @@ def _set(dots: NDArray[np.bool_], point: FloatArray, left: float, low: float) ->
 
 def gauges(lane: Lane, moment: Moment, state: RobotState) -> str:
     """Return a line of numbers."""
-    pitch, front, rear = (math.degrees(a) for a in (state.pitch, state.front, state.rear))
-    doing = "start"
+    front, rear = by_ends([f"{round(math.degrees(a)):+3d}°" for a in angles_of(state)])
+    pitch, doing = round(math.degrees(state.pitch)), "start"
     if moment.decision is not None:
-        turns = ACTIONS[moment.decision.action]
-        doing = ", ".join(f"{n} {_TURN[t]}" for n, t in zip(("front", "rear"), turns, strict=True))
+        doing = "front {}, rear {}".format(*action_text(moment.decision))
     end = "" if lane.outcome is None else f"  {lane.outcome.value}"
     risk = "" if moment.risk is None else f"  risk {moment.risk:.2f}"
     return (
-        f"{state.time:5.1f} s {state.position[0]:6.2f} m  pitch {round(pitch):+3d}° "
-        f"({lane.history.variation:.2f} rad)  front {round(front):+3d}°  rear {round(rear):+3d}°"
-        f"  {doing}{risk}{end}"
+        f"{state.time:5.1f} s {state.position[0]:6.2f} m  pitch {pitch:+3d}° "
+        f"({lane.history.variation:.2f} rad)  front {front}  rear {rear}  {doing}{risk}{end}"
     )
 
 
