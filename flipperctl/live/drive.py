@@ -34,7 +34,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.live.gate import Gate, page_file
 from flipperctl.live.hands import Answers, Asked, Hands, Theme, parse
-from flipperctl.live.scene import LiveScene, Stage
+from flipperctl.live.scene import Laid, LiveScene, Stage
 
 PERIOD = 0.05
 """Time between two commands [s]."""
@@ -234,11 +234,12 @@ class Person:
         self._hands = Hands(robot, PERIOD, helped=self._helper is not None)
         env.drive.report_poses(self._moved)
         shown = env.scene
-        floor = self._page.stage.begin([env.profile])
-        self._scene.begin(env.profile, robot, shown.finish, floor)
+        world = env.drive.world
+        ground = Laid.of(env.profile, world.of_engine)
+        floor = self._page.stage.begin([ground])
+        self._scene.begin(env.profile, robot, shown.finish, floor, ground=ground)
         self._scene.show(env.state)
         self._page.stage.follow([(self._scene, env.state)])
-        world = env.drive.world
         self._cameras = isinstance(world.of_engine, CameraWorld)
         # What the page needs to draw the robot and its gauges
         about = {

@@ -23,7 +23,7 @@ from flipperctl.api import ACTIONS
 from flipperctl.errors import FlipperctlError
 from flipperctl.live.gate import Gate, page_file
 from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment, action_text
-from flipperctl.live.scene import LiveScene, Stage
+from flipperctl.live.scene import Laid, LiveScene, Stage
 
 _AFTER = 1.5
 """Pause after an episode before the next one begins [s]."""
@@ -307,10 +307,13 @@ class WatchPage:
         # All lanes begin the same episode.
         difficulty, seed = self._fields["difficulty"], self._fields["seed"]
         starts = [lane.begin(self._episode, difficulty, seed or None) for lane, _ in self._lanes]
-        floor = self._stage.begin([lane.env.profile for lane, _ in self._lanes])
+        envs = [lane.env for lane, _ in self._lanes]
+        grounds = [Laid.of(e.profile, e.drive.world.of_engine) for e in envs]
+        floor = self._stage.begin(grounds)
         for number, ((lane, scene), start) in enumerate(zip(self._lanes, starts, strict=True)):
-            env = lane.env
-            scene.begin(env.profile, env.robot, env.scene.finish, floor, lane.entrant.label)
+            env, label = envs[number], lane.entrant.label
+            finish, ground = env.scene.finish, grounds[number]
+            scene.begin(env.profile, env.robot, finish, floor, label, ground)
             scene.show(start.states[0])
             self._show_gauges(number, gauges(number, lane, start))
         scenes = [scene for _, scene in self._lanes]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -74,6 +74,29 @@ _PATH = {"chassis": "chassis", **{name: f"chassis/{name}" for name in JOINTS["fo
 """Names of nodes by the robot's bodies."""
 HEIGHTS, HIGHEST, INK, RAY = "#AA4499", "#DDAAD2", "#222222", "#CC3311"
 PLAN, MAP = "#DDAA33", "#33BBEE"
+
+
+@runtime_checkable
+class _OnStrips(Protocol):
+    """A world whose ground has strips, as that of ``sim=mujoco``."""
+
+    strips: Sequence[Strip]
+    sim: MujocoSettings
+
+
+class Laid(NamedTuple):
+    """The ground of an episode."""
+
+    strips: Sequence[Strip]
+    slant: float
+    """How far it lies ahead for each metre to the left [-]."""
+
+    @classmethod
+    def of(cls, profile: Profile, world: object = None) -> Laid:
+        """Return what an engine's world stands on; in the side plane, its profile."""
+        if isinstance(world, _OnStrips):
+            return cls(world.strips, world.sim.slant)
+        return cls([Strip(-WIDTH / 2, WIDTH / 2, profile.extended(_LEVEL, _LEVEL))], 0.0)
 
 
 class Stage:
@@ -143,9 +166,10 @@ class Stage:
             camera.position, camera.look_at = tuple(place), tuple(middle)
             camera.fov = _ANGLE
 
-    def begin(self, profiles: Sequence[Profile]) -> float:
+    def begin(self, grounds: Sequence[Laid]) -> float:
         """Lay the floor below the grounds of an episode; return its z [m]."""
-        z = min(float(profile.extended(_LEVEL, _LEVEL)[:, 1].min()) for profile in profiles) - _THIN
+        z = min(float(strip.line[:, 1].min()) for ground in grounds for strip in ground.strips)
+        z -= _THIN
         corners = _WIDE * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         self._floor = self._server.scene.add_mesh_simple(
             "/floor", np.insert(corners, 2, z, axis=1).astype(np.float32),
@@ -191,17 +215,26 @@ class LiveScene:
         self._root.remove()
 
     def begin(
-        self, profile: Profile, robot: RobotGeometry, finish: float, floor: float, label: str = ""
+        self,
+        profile: Profile,
+        robot: RobotGeometry,
+        finish: float,
+        floor: float,
+        label: str = "",
+        ground: Laid | None = None,
     ) -> None:
-        """Show a new episode: ground from the ``floor`` [m] up, a robot at rest, the finish [m]."""
+        """Show a new episode: ground from the ``floor`` [m] up, a robot at rest, the finish [m].
+
+        ``ground``: None is that of the profile.
+        """
         self.perceived.remove()  # of the episode before
         self.perceived = self._add_perceived()
-        ground = Strip(-WIDTH / 2, WIDTH / 2, profile.extended(_LEVEL, _LEVEL))
+        strips, slant = Laid.of(profile) if ground is None else ground
         border = -WIDTH / 2
-        deep = float(ground.line[:, 1].min()) - floor
-        for mesh in ground_meshes([ground], border, WIDTH / 2, deep):
-            self._mesh(f"ground/{mesh.colour[1:]}", mesh, shadow=False)
-        self._mesh("ground/line", profile_line([ground], border), shadow=False)
+        deep = min(float(strip.line[:, 1].min()) for strip in strips) - floor
+        for mesh in ground_meshes(strips, border, WIDTH / 2, deep):
+            self._mesh(f"ground/{mesh.colour[1:]}", mesh.slanted(slant), shadow=False)
+        self._mesh("ground/line", profile_line(strips, border).slanted(slant), shadow=False)
         # The finish: two posts and a line on the ground
         z = profile.height(finish)
         gate = [[[finish, y, z], [finish, y, z + 0.6]] for y in (-WIDTH / 2, WIDTH / 2)]

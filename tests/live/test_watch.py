@@ -242,7 +242,7 @@ def in_picture(count: int) -> Callable[[np.ndarray], np.ndarray]:
 def test_no_robot_leaves_the_picture(count: int, apart: tuple[float, float]) -> None:
     server = MagicMock()
     stage = scene.Stage(server)
-    stage.begin([STEP])
+    stage.begin([scene.Laid.of(STEP)])
     lanes = [scene.LiveScene(server.scene, lane) for lane in range(count)]
     for lane in lanes:
         lane._root = MagicMock()
@@ -364,3 +364,43 @@ def test_a_policy_that_cannot_drive_is_refused_and_the_page_goes_on() -> None:
     assert remark == {"kind": "remark", "text": "No policy was added: no drives"}
     assert not shown._wish.changed
     assert len(shown._entrants) == 1
+
+
+@pytest.fixture
+def four() -> Lane:
+    load(())
+    words = {"terrain": {"name": "step", "height": 0.2}, "robot": {"flippers": "four"}}
+    config = EvalConfig(**words, sim={"name": "mujoco", "one_sided": 1}, perception={"sides": True})
+    source = load_policy("okada_sides")
+    return Lane(Entrant("sides", lambda index: Episode(config, source.build(config), 3)))
+
+
+def test_four_flippers_are_shown_each_by_itself(four: Lane) -> None:
+    first, shown = four.begin(0), MagicMock()
+    shown.add_frame.side_effect = lambda name, **_: MagicMock(name=name)
+    live, ground = (
+        scene.LiveScene(shown),
+        scene.Laid.of(four.env.profile, four.env.drive.world.of_engine),
+    )
+    live.begin(four.env.profile, four.env.robot, 1.0, 0.0, ground=ground)
+    state = replace(first.states[0], front=0.2, rear=0.0, flippers=(0.5, -0.1, 0.3, -0.3))
+    live.show(state)
+    turned = {name: part.wxyz for name, part in live._parts.items() if name != "chassis"}
+    assert turned == {
+        "front_left": scene._about_y(-0.5), "front_right": scene._about_y(0.1),
+        "rear_left": scene._about_y(0.3), "rear_right": scene._about_y(-0.3),
+    }  # fmt: skip
+    # The step is on the left side alone, as in the simulator.
+    right, left = (np.interp(0.1, *strip.line.T) for strip in ground.strips)
+    assert right < left == pytest.approx(0.2)
+
+
+def test_numbers_of_four_flippers_stand_by_side(four: Lane) -> None:
+    four.begin(0)
+    moment = four.step()
+    assert moment is not None
+    told = page.gauges(0, four, moment)
+    assert told["joints"] == ["front left", "front right", "rear left", "rear right"]
+    assert len(told["angles"][-1]) == 1 + 1 + 4 + 1  # time, pitch, joints, roll
+    assert told["action"][0].count("/") == 1
+    assert terminal.gauges(four, moment, moment.states[-1]).count("°/") == 2
