@@ -45,7 +45,7 @@ simulated shapes, which MuJoCo does not draw by default [-]."""
 _LARGEST = 1920, 1080  # width and height of the largest picture [pixels]
 _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 """Name in ``MUJOCO_GL`` → system library, in the order in which they are tried."""
-_INSTALL = "on Debian, apt install libegl1 libegl-mesa0, or libosmesa6"
+_INSTALL = "on Debian, apt install libegl1 libgl1-mesa-dri libopengl0, or libosmesa6"
 _MOST_GEOMS = 2000
 _SKY_DEPTH = 0.6
 """MuJoCo draws the sky at 0.7 of the distance of its farthest plane."""
