@@ -12,6 +12,7 @@ Each exception takes its text and nothing else, so that it can be pickled by a w
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 
@@ -112,4 +113,30 @@ def missing_package(error: BaseException) -> str:
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return ""
     module = error.name.partition(".")[0]
-    return f"the package {module} is missing: pip install {_PACKAGES.get(module, module)}"
+    return f"the package {module} is missing: {installing(_PACKAGES.get(module, module))}"
+
+
+def missing_extra(what: str, package: str) -> MissingExtraError:
+    """Return the error for what needs a package that is not installed."""
+    return MissingExtraError(f"{what} needs {package}: {installing(package)}")
+
+
+def installing(package: str) -> str:
+    """Return the command that installs a package: by the extra of flipperctl that has it."""
+    from importlib.metadata import PackageNotFoundError, requires
+
+    try:
+        requirements = requires("flipperctl") or []
+    except PackageNotFoundError:  # files without an installation
+        requirements = []
+    # Such as 'mujoco<5,>=3.11; extra == "mujoco"'; what is installed always has no extra.
+    for requirement in requirements:
+        name, *_ = re.split(r"[^\w.-]", requirement, maxsplit=1)
+        extra = re.search(r"""extra == ['"]([\w-]+)""", requirement)
+        if _plain(name) == _plain(package):
+            return f"pip install 'flipperctl[{extra[1]}]'" if extra else f"pip install {package}"
+    return f"pip install {package}"
+
+
+def _plain(package: str) -> str:
+    return re.sub(r"[-_.]+", "-", package).lower()

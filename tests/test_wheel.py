@@ -123,7 +123,7 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
     search = [flipperctl, "train", "-m", "hydra/sweeper=optuna", "seed=1,2"]
     refused = environment.call(*search)
     assert refused.returncode == 2, refused.stderr
-    assert "install flipperctl[optuna]" in refused.stderr
+    assert "pip install 'flipperctl[optuna]'" in refused.stderr
 
 
 def test_python_3_10_gets_the_part_of_a_robot(wheel: Path, tmp_path: Path) -> None:

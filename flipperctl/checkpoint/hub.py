@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from flipperctl.errors import CheckpointError, MissingExtraError, RequestError
+from flipperctl.errors import CheckpointError, RequestError, missing_extra
 
 PREFIX = "hf:"
 FILE = "policy.safetensors"
@@ -130,7 +130,5 @@ def _hub(where: str) -> Any:
         import huggingface_hub
         import huggingface_hub.errors
     except ImportError as error:
-        raise MissingExtraError(
-            f"{where}: the Hub needs huggingface_hub: pip install flipperctl[hub]"
-        ) from error
+        raise missing_extra(f"{where}: the Hub", "huggingface_hub") from error
     return huggingface_hub

@@ -190,15 +190,9 @@ def time_decisions(path: str, calls: int, seed: int) -> dict[str, object]:
     Raises:
         MissingExtraError: ONNX Runtime is not installed.
     """
-    import importlib
-
-    try:
-        runtime = importlib.import_module("flipperctl.runtime.policy")
-    except ImportError as error:
-        raise MissingExtraError(
-            f"decisions of an exported policy: {error}; install flipperctl[robot]"
-        ) from error
     import numpy as np
+
+    from flipperctl.runtime import policy as runtime
 
     policy = runtime.OnnxPolicy(path)
     shape = 256, policy.interface.size
@@ -234,7 +228,7 @@ def output(command: Sequence[str], what: str) -> str:
         return done.stdout
     # The last line of a traceback says what is missing.
     reason = (done.stderr.strip().splitlines() or ["it wrote no message"])[-1]
-    if done.returncode == MissingExtraError.exit_code and "install flipperctl[" in reason:
+    if done.returncode == MissingExtraError.exit_code and "pip install " in reason:
         raise MissingExtraError(reason.removeprefix("error: "))
     raise FlipperctlError(f"{what} failed: {reason}")
 

@@ -23,10 +23,10 @@ from flipperctl.config import resolver
 from flipperctl.config.policy_file import PolicyFile, Score, Tuning
 from flipperctl.errors import (
     ConfigError,
-    MissingExtraError,
     NonFiniteError,
     OutputError,
     RequestError,
+    missing_extra,
 )
 from flipperctl.evaluation.learning import Demonstrator, Objective, PlayedEpisodes, Playing
 from flipperctl.evaluation.plan import Entry
@@ -245,7 +245,7 @@ def _strategy(settings: Sequence[Setting], start: Fields, spending: Spending, se
     try:
         import cma
     except ImportError as error:
-        raise MissingExtraError("tune needs the package cma; install flipperctl[tune]") from error
+        raise missing_extra("tune", "cma") from error
     rng = np.random.default_rng(seed)
     first = [setting.share(start[setting.name]) for setting in settings]
     first += [0.5] * (2 - len(first))  # it takes two dimensions at least; the second has no effect

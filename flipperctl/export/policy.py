@@ -38,8 +38,8 @@ from flipperctl.errors import (
     ConfigError,
     ExportError,
     FlipperctlError,
-    MissingExtraError,
     RequestError,
+    missing_extra,
 )
 from flipperctl.export.metadata import policy_metadata
 from flipperctl.plugging.guard import naming
@@ -318,10 +318,7 @@ def _import_package(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise MissingExtraError(
-            f"export onnx needs the package {name}, which is missing if flipperctl was installed "
-            f"without its dependencies; pip install {name}"
-        ) from error
+        raise missing_extra("export onnx", name) from error
 
 
 class _RecordingPolicy(TrainedPolicy):

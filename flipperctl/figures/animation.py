@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.errors import FlipperctlError, MissingExtraError
+from flipperctl.errors import FlipperctlError, missing_extra
 from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 Frame = tuple[NDArray[np.uint8], float]
@@ -46,10 +46,7 @@ def check_film(path: Path) -> None:
     """
     check_output(path, FILM)
     if path.suffix.lower() == _MP4 and importlib.util.find_spec("imageio_ffmpeg") is None:
-        raise MissingExtraError(
-            f"{path}: an MP4 needs imageio-ffmpeg, which is not installed; "
-            "run pip install 'flipperctl[video]', or name a .gif file"
-        )
+        raise missing_extra(f"{path}: .gif needs no package; .mp4", "imageio-ffmpeg")
 
 
 def write_film(path: Path, frames: Iterable[Frame]) -> None:

@@ -24,7 +24,7 @@ from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.config.describe import Field
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError, MissingExtraError
+from flipperctl.errors import ConfigError, missing_extra
 from flipperctl.text.messages import close_match
 
 try:
@@ -38,9 +38,7 @@ try:
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.utils import LinearSchedule
 except ImportError as error:
-    raise MissingExtraError(
-        "agent=sb3 needs the package stable-baselines3; install flipperctl[sb3]"
-    ) from error
+    raise missing_extra("agent=sb3", "stable-baselines3") from error
 
 _OURS = {
     "env": "set terrain, robot and the like",

@@ -23,7 +23,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import parse_qs
 
-from flipperctl.errors import FlipperctlError, MissingExtraError, RequestError
+from flipperctl.errors import FlipperctlError, RequestError, missing_extra
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -148,9 +148,7 @@ class Gate:
         try:
             import viser
         except ImportError as error:
-            raise MissingExtraError(
-                f"{what} needs viser: pip install 'flipperctl[live]'"
-            ) from error
+            raise missing_extra(what, "viser") from error
 
         # The page answers to its own names alone, since another site's name may lead here as well.
         listener = _bind(port)

@@ -27,7 +27,7 @@ from flipperctl.config.defaults import CHOICES, missing_entry
 from flipperctl.config.merge import MISSING, find
 from flipperctl.config.sampled import SECTIONS
 from flipperctl.config.words import unreadable
-from flipperctl.errors import ConfigError, MissingExtraError, RequestError
+from flipperctl.errors import ConfigError, RequestError, missing_extra
 from flipperctl.requests.request import Request
 from flipperctl.text.messages import explain_unknown_key
 
@@ -63,7 +63,7 @@ def missing_choice(error: MissingConfigException) -> RequestError:
         return ConfigError(_one_line(error))
     if group == "hydra/launcher" and option.partition("_")[0] in _LAUNCHERS:
         package = f"hydra-{option.partition('_')[0]}-launcher"
-        return MissingExtraError(f"{group}={option} needs {package}: pip install {package}")
+        return missing_extra(f"{group}={option}", package)
     return missing_entry(group, option, options)
 
 

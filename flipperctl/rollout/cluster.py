@@ -20,7 +20,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
+from flipperctl.errors import ConfigError, FlipperctlError, missing_extra
 from flipperctl.plugging.guard import naming_plugins
 from flipperctl.rollout.pool import POLL, DiedError, import_path
 
@@ -48,7 +48,7 @@ def import_ray() -> Any:
     try:  # Ray reads the variable while it is imported
         import ray
     except ImportError as error:
-        raise MissingExtraError("collector=ray needs Ray: pip install flipperctl[ray]") from error
+        raise missing_extra("collector=ray", "ray") from error
     finally:
         del os.environ[_SKIPPED]
         os.environ.update({} if before is None else {_SKIPPED: before})

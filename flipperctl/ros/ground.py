@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray, Robot
-from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.errors import RequestError, missing_extra
 from flipperctl.ros.reading import Points, Pose, messages, opened, read_points
 from flipperctl.ros.recording import Recording, read_recording
 from flipperctl.ros.topics import Names
@@ -314,9 +314,7 @@ def _points(file: Path) -> FloatArray:
 
             points = trimesh.load(file).vertices  # type: ignore[attr-defined]  # of a cloud
     except ImportError as error:
-        raise MissingExtraError(
-            f"{file}: {error.name} is not installed; run pip install 'flipperctl[profiles]'"
-        ) from error
+        raise missing_extra(f"{file}", error.name or "trimesh") from error
     except Exception as error:  # each library has its own errors for damaged files
         text = " ".join(str(error).split())
         raise RequestError(f"{file} cannot be read: {type(error).__name__}: {text}") from error

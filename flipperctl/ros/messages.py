@@ -22,7 +22,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray, RobotState
 from flipperctl.core.lidar.body import attitude, mounting
-from flipperctl.errors import MissingExtraError
+from flipperctl.errors import missing_extra
 from flipperctl.runtime.devices import Devices
 
 ODOM, BASE, LEVEL, LIDAR = "odom", "base_link", "base_stabilized", "lidar"
@@ -48,9 +48,7 @@ def require_rosbags(what: str) -> ModuleType:
         for name in ("mcap", "rosbags", "rosbags.rosbag2", "rosbags.typesys"):
             import_module(name)
     except ImportError as error:
-        raise MissingExtraError(
-            f"{what} needs {name}, which is not installed; run pip install 'flipperctl[ros]'"
-        ) from error
+        raise missing_extra(what, name.partition(".")[0]) from error
     return import_module("rosbags")
 
 

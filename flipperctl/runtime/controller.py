@@ -482,7 +482,7 @@ def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True
     try:
         matcher = ScanMatcher() if setup.pose == "matched" else None
     except ImportError as error:
-        raise MissingExtraError(
-            "pose='matched' needs small_gicp, which is not installed; run pip install small_gicp"
+        raise MissingExtraError(  # not by the extra, which would bring the simulators
+            "pose='matched' needs small_gicp: pip install small_gicp"
         ) from error
     return LidarEstimator(body, setup.mount, settings, matcher, level=level)

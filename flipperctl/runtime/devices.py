@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from flipperctl.core.lidar.body import Mount
-from flipperctl.errors import MissingExtraError, PolicyError
+from flipperctl.errors import PolicyError, missing_extra
 from flipperctl.runtime.messages import (
     CONVENTIONS,
     REP_103,
@@ -265,9 +265,7 @@ def _load(path: Path) -> object:
         from ruamel.yaml import YAML
         from ruamel.yaml.error import YAMLError
     except ImportError as error:
-        raise MissingExtraError(
-            f"{path}: YAML needs the package ruamel.yaml; install it, or write JSON"
-        ) from error
+        raise missing_extra(f"{path}: JSON needs no package; YAML", "ruamel.yaml") from error
     try:
         return YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:

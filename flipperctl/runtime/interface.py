@@ -25,7 +25,7 @@ from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
 from flipperctl.core.targets import JOINTS, ActionKind, Flippers, TargetRule
-from flipperctl.errors import MissingExtraError, PolicyError, other_format
+from flipperctl.errors import PolicyError, missing_extra, other_format
 from flipperctl.runtime.devices import SECTION, Devices, devices_of
 
 if TYPE_CHECKING:
@@ -213,9 +213,7 @@ def open_session(path: Path) -> InferenceSession:
     try:
         import onnxruntime
     except ImportError as error:
-        raise MissingExtraError(
-            "an exported policy needs the package onnxruntime; install flipperctl[robot]"
-        ) from error
+        raise missing_extra("an exported policy", "onnxruntime") from error
     try:
         # The file is verified before anything parses it.
         data = read_whole(path, lambda data: verify(data, str(path)), PolicyError)

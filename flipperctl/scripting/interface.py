@@ -18,8 +18,8 @@ from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
     InterruptedRunError,
-    MissingExtraError,
     RequestError,
+    missing_extra,
 )
 from flipperctl.evaluation import evaluate as results
 from flipperctl.evaluation.plan import NamedPolicy, controllers, entrants
@@ -70,9 +70,7 @@ def data_frame(rows: Iterable[Mapping[str, object]]) -> DataFrame:
     try:
         import pandas
     except ImportError as error:
-        raise MissingExtraError(
-            "data frames need pandas: pip install 'flipperctl[frames]'"
-        ) from error
+        raise missing_extra("a data frame", "pandas") from error
     return pandas.DataFrame(list(rows))
 
 

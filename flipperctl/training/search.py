@@ -30,10 +30,10 @@ from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
     InterruptedRunError,
-    MissingExtraError,
     NonFiniteError,
     PluginFailedError,
     RequestError,
+    missing_extra,
 )
 from flipperctl.process.session import command
 from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
@@ -90,9 +90,7 @@ def check_settings(values: Mapping[str, Any]) -> SearchSettings:
     try:
         import optuna
     except ImportError as error:
-        raise MissingExtraError(
-            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
-        ) from error
+        raise missing_extra("hydra/sweeper=optuna", "optuna") from error
     settings = parse(SearchSettings, values, "hydra.sweeper")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     return settings

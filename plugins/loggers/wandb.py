@@ -131,9 +131,7 @@ class WeightsAndBiases(Logger):
             ImportError: wandb is not installed.
         """
         if find_spec("wandb") is None:
-            raise ImportError(
-                "the package wandb is not installed; run pip install 'flipperctl[wandb]'"
-            )
+            raise ImportError("it needs wandb: pip install 'flipperctl[wandb]'")
 
         # wandb is imported and started in the logger's own thread, since both may take long.
         def begin(run_id: str) -> Any:

@@ -348,8 +348,7 @@ class ProfileFile(Terrain):
                 yield file
         except ImportError as error:
             raise ValueError(
-                f"{file}: {file.suffix} files need the package {error.name}; "
-                "install flipperctl[profiles]"
+                f"{file}: {file.suffix} files need {error.name}: pip install 'flipperctl[profiles]'"
             ) from error
         except FileNotFoundError as error:
             place = "" if file.is_absolute() else f" in {Path.cwd()}"

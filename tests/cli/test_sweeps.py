@@ -93,17 +93,17 @@ def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> 
     assert not sys.modules["ray"].is_initialized()
 
 
-def test_a_launcher_that_is_not_installed_names_its_package(
+def test_a_launcher_that_is_not_installed_names_its_extra(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Plugins.instance()  # has read the installed launchers once and for all
-    packages = {"joblib": "joblib", "submitit_slurm": "submitit"}
-    for launcher, package in packages.items():
+    extras = {"joblib": "joblib", "submitit_slurm": "slurm"}
+    for launcher, extra in extras.items():
         installed = ConfigStore.instance().repo["hydra"]["launcher"]
         monkeypatch.delitem(installed, f"{launcher}.yaml", raising=False)
         done = sweep(folder, "terrain=floor", f"hydra/launcher={launcher}")
         assert done.code == 2
-        assert f"pip install hydra-{package}-launcher" in done.err
+        assert f"pip install 'flipperctl[{extra}]'" in done.err
         assert len(done.err.splitlines()) == 1
 
 

@@ -184,5 +184,5 @@ def test_a_missing_reader_names_the_extra(tmp_path: Path, monkeypatch: pytest.Mo
     file = tmp_path / "block.stl"
     write(file, block())
     monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(TerrainError, match=r"package trimesh; install flipperctl\[profiles\]"):
+    with pytest.raises(TerrainError, match=r"need trimesh: pip install 'flipperctl\[profiles\]'"):
         profile(file, **LINE)

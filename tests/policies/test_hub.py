@@ -194,7 +194,7 @@ def test_without_network_or_extra_the_error_says_so(
     with pytest.raises(CheckpointError, match=r"^hf:ann/stairs: the Hub cannot be reached"):
         load_policy("hf:ann/stairs")
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    with pytest.raises(MissingExtraError, match=r"pip install flipperctl\[hub\]"):
+    with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[hub\]'"):
         load_policy("hf:ann/stairs")
 
 

@@ -27,7 +27,7 @@ from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import Lidar, MapQuality, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.outline import accuracy_of
-from flipperctl.errors import MissingExtraError
+from flipperctl.errors import missing_extra
 from flipperctl.sim.lidar.instruments import (
     Accelerometer,
     BeltEncoders,
@@ -302,10 +302,7 @@ class LidarSensor(Sensor):
         try:
             matcher = ScanMatcher() if self.pose == "matched" else None
         except ImportError as error:
-            raise MissingExtraError(
-                "perception.pose=matched needs small_gicp, which is not installed; "
-                "run pip install 'flipperctl[lidar]'"
-            ) from error
+            raise missing_extra("perception.pose=matched", "small_gicp") from error
         return LidarEstimator(self._body(robot), self._mount, settings, matcher)
 
     def exact(self) -> PlanarSensor:

@@ -12,7 +12,7 @@ import numpy as np
 
 from flipperctl.api import Engine, Profile, Robot, Start, World, engine
 from flipperctl.core.targets import Flippers
-from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.errors import RequestError, missing_extra
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
 __all__ = ["Mujoco"]
@@ -45,10 +45,7 @@ class Mujoco(MujocoSettings, Engine):
         try:
             import mujoco  # noqa: F401
         except ImportError as error:
-            raise MissingExtraError(
-                "sim=mujoco needs MuJoCo, which is not installed; "
-                "run pip install 'flipperctl[mujoco]'"
-            ) from error
+            raise missing_extra("sim=mujoco", "mujoco") from error
         except (AttributeError, RuntimeError) as error:  # MUJOCO_GL's library is missing or unknown
             raise RequestError(
                 f"sim=mujoco: MuJoCo does not import with MUJOCO_GL={os.environ.get('MUJOCO_GL')}, "
