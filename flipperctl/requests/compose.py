@@ -8,7 +8,7 @@ or ``EvalConfig`` for each combination of the lists among the requests. Files, s
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from importlib import resources
 from pathlib import Path
@@ -48,7 +48,7 @@ from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explai
 from flipperctl.plugging import plugins
 from flipperctl.requests import errors
 from flipperctl.requests.request import RUN_FOLDER, Request, Requests
-from flipperctl.terminal.streams import print_notices
+from flipperctl.terminal.streams import print_note, print_notices
 
 CONFIGS = str(resources.files("flipperctl.configs"))
 TRAINING = "train"
@@ -272,6 +272,11 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
     except ConfigCompositionException as error:
         raise errors.wrong_choice(error, choices, _composed(primary, (), hydra=hydra)) from error
     plain: Any = OmegaConf.to_container(composed)
+    for chosen, keys in _of_others(primary, choices, plain):
+        for key in keys:
+            drop(plain, key)
+        if not hydra:  # the folder of a run is asked for by itself
+            print_note(f"the experiment sets what {chosen} has not, left out: {', '.join(keys)}")
 
     # In their order, so that a later request may lie within an earlier one
     for request in values:
@@ -282,6 +287,23 @@ def _merged(primary: str, requests: Requests, *, hydra: bool = False) -> DictCon
             change(plain, request.key, request.value if request.typed else escaped(request.value))
     merged: DictConfig = OmegaConf.create(plain)
     return merged
+
+
+def _of_others(
+    primary: str, choices: Sequence[Request], plain: Mapping[str, Any]
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield what is chosen in place of an experiment's plugin, and the keys that it lacks."""
+    if not any(request.key == "experiment" for request in choices):
+        return
+    for request in choices:
+        group, name = request.key, request.value
+        fields = getattr(registry.get((group, str(name))), "model_fields", None)
+        if fields is None:
+            continue
+        if unknown := {*plain[group]} - {"name", *fields}:
+            others = tuple(other.text for other in choices if other is not request)
+            before = registry[group, _composed(primary, others, hydra=False)[group]["name"]]
+            yield f"{group}={name}", [f"{group}.{k}" for k in before.model_fields if k in unknown]
 
 
 def _composed(primary: str, choices: tuple[str, ...], *, hydra: bool) -> DictConfig:

@@ -177,7 +177,18 @@ def test_a_configuration_folder_leaves_the_checks_of_a_training(tmp_path: Path) 
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("name", ["four", "quick", "refined", "sides", "taught"])
+@pytest.mark.parametrize("name", compose.group_names("experiment"))
 def test_an_experiment_takes_another_terrain(name: str) -> None:
     (config,) = compose_train([f"experiment={name}", "terrain=uplift"])
     assert config.terrain.plugin_name == "uplift"
+
+
+def test_settings_of_an_experiment_for_another_plugin_are_left_out(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (config,) = compose_train(["experiment=refined", "agent=d3qn"])
+    assert config.agent.plugin_name == "d3qn"
+    assert "agent=d3qn has not, left out: agent.anchor" in capsys.readouterr().err
+    # What is typed is refused as ever.
+    with pytest.raises(ConfigError, match=r"agent\.anchor: there is no such key"):
+        compose_train(["experiment=refined", "agent=d3qn", "agent.anchor=0.1"])
