@@ -38,6 +38,7 @@ from flipperctl.figures.render import FAINT, HEIGHTS, INK, RobotArtist, drawn_pi
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.trace import instants, map_points, mapped
+from flipperctl.sim.mujoco.appearance import SKY
 from flipperctl.sim.outline import outlines
 
 _DPI = 100
@@ -47,7 +48,7 @@ SPEED = 3.0
 """Real time per time of a film [-]."""
 _SLOWEST, _FASTEST = SAMPLE_PERIOD / SHOWN, 20.0
 _COARSER = 2
-"""Frames of other films to one of a GIF in 3-D, in which every pixel changes [-]."""
+"""Frames of other films to one of a GIF in 3-D, whose pictures are the largest [-]."""
 _WIDTH, _ALONE, _STACKED = 720, 405, 288
 """Width of the pictures of an engine, and their height for one policy and for several [pixels]."""
 _STRIP, _TEXT, _MARGIN = 32, 17, 10
@@ -164,7 +165,7 @@ def _labelled(
 
     face = "DejaVuSans" if picture is None else "DejaVuSans-Bold"
     file = f"{matplotlib.get_data_path()}/fonts/ttf/{face}.ttf"
-    strip = Image.new("RGB", (width if picture is None else picture.shape[1], _STRIP), "white")
+    strip = Image.new("RGB", (width if picture is None else picture.shape[1], _STRIP), SKY)
     draw = ImageDraw.Draw(strip)
     for text, x, anchor in ((left, _MARGIN, "lm"), (right, strip.width - _MARGIN, "rm")):
         font: Any = ImageFont.truetype(file, _TEXT)

@@ -42,10 +42,13 @@ class Mesh(NamedTuple):
 
     triangles: FloatArray  # (F, 3, 3) x, y, z of each corner, anticlockwise from outside [m]
     colour: str  # as in HTML
+    shades: bool = True
+    """Whether it casts a shadow; treads would shade what risers do, and speckle themselves."""
 
     def slanted(self, slant: float) -> Mesh:
         """Return the mesh moved ahead by ``slant`` for each metre to the left [-]."""
-        return Mesh(self.triangles + self.triangles[..., 1:2] * (slant, 0.0, 0.0), self.colour)
+        moved = self.triangles + self.triangles[..., 1:2] * (slant, 0.0, 0.0)
+        return self._replace(triangles=moved)
 
 
 class Track(NamedTuple):
@@ -132,7 +135,10 @@ def ground_meshes(
         for x in np.arange(math.ceil(line[0, 0] / _APART), line[-1, 0] / _APART) * _APART:
             at = np.array([x, np.interp(x, *line.T)])
             add(_RULE, _bar(at, at, right, left, _LINE))
-    return [Mesh(np.concatenate(parts), colour) for colour, parts in by_colour.items()]
+    return [
+        Mesh(np.concatenate(parts), colour, shades=colour not in _STEPS)
+        for colour, parts in by_colour.items()
+    ]
 
 
 def profile_line(strips: Sequence[Strip], y: float) -> Mesh:

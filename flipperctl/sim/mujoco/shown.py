@@ -8,16 +8,18 @@ cameras of the simulated one, so that what is drawn does not affect what is simu
 from __future__ import annotations
 
 import ctypes.util
+import math
 import os
 from collections.abc import Sequence
 from importlib import import_module
+from itertools import product
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import CameraImage, FloatArray, Robot, View
+from flipperctl.api import CameraImage, FloatArray, Profile, Robot, View
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.sim.mujoco.appearance import (
     GROUSER,
@@ -50,6 +52,10 @@ _MOST_GEOMS = 2000
 _SKY_DEPTH = 0.6
 """MuJoCo draws the sky at 0.7 of the distance of its farthest plane."""
 _DISTANCE, _AZIMUTH, _ELEVATION = 4.2, 72.0, -14.0  # of the camera from the robot [m], [°], [°]
+_FARTHEST = 7.0
+"""Largest distance of a camera that stands still and shows all of the course [m]."""
+_LEVEL = 1.0
+"""Level ground on both sides of the profile that belongs to the course [m]."""
 _ANGLE = 26.0  # vertical angle of view of the camera outside [°]
 _BESIDE = 0.35
 """Ground to the right of the tracks that pictures from outside show; it is cut there [m]."""
@@ -60,7 +66,12 @@ class Shown:
     """What pictures of one episode show."""
 
     def __init__(
-        self, robot: Robot, sim: MujocoSettings, strips: Sequence[Strip], simulated: Any
+        self,
+        profile: Profile,
+        robot: Robot,
+        sim: MujocoSettings,
+        strips: Sequence[Strip],
+        simulated: Any,
     ) -> None:
         """Build the model; the ``simulated`` one has the scenery."""
         self._robot, self._tracks = robot, list(tracks(robot, sim))
@@ -97,6 +108,15 @@ class Shown:
                 spec.worldbody.add_geom(type=geom.type[0], pos=geom.pos, size=geom.size, **looks)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
+        # The course: where the robot's centre drives, and the box of what it may fill there
+        self.course = profile.start - _LEVEL, profile.end + _LEVEL
+        low, high = self.course[0] - robot.reach, self.course[1] + robot.reach
+        points = np.concatenate([strip.line for strip in strips])
+        heights = points[(points[:, 0] >= low) & (points[:, 0] <= high), 1]
+        half = sim.flipper_offset + sim.track_width / 2
+        self.box = np.array(
+            [[low, -half, heights.min()], [high, half, heights.max() + robot.reach]]
+        )
 
     def pose(self, pose: FloatArray, travel: float) -> None:
         """Show a ``pose`` (``qpos``), with belts that have run a distance [m]."""
@@ -129,7 +149,9 @@ def _add(spec: Any, body: str, mesh: Mesh, group: int = 0) -> None:
     )
     # MuJoCo computes the convex hull of what may collide, which flat meshes have not.
     looks = {"rgba": rgba(mesh.colour), "group": group, "contype": 0, "conaffinity": 0}
-    spec.body(body).add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=added.name, **looks)
+    geom = spec.body(body).add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=added.name, **looks)
+    if hasattr(geom, "castshadow"):  # MuJoCo has it since version 4
+        geom.castshadow = mesh.shades
 
 
 def set_looks(spec: Any) -> None:
@@ -161,7 +183,10 @@ def set_looks(spec: Any) -> None:
 
 
 class Camera:
-    """A camera that follows the robot at its right, a little behind, and those on the robot."""
+    """A camera at the robot's right, a little behind, and those on the robot.
+
+    It stands still while the robot is on a course that it can show whole; else it follows.
+    """
 
     def __init__(self, shown: Shown, width: int, height: int) -> None:
         """Prepare pictures of ``width`` × ``height`` pixels."""
@@ -183,12 +208,16 @@ class Camera:
         self._scene = mujoco.MjvScene(shown.model, maxgeom=_MOST_GEOMS)
         # The camera outside keeps its distance and its angles.
         self._camera = mujoco.MjvCamera()
-        self._camera.distance = _DISTANCE
         self._camera.azimuth, self._camera.elevation = _AZIMUTH, _ELEVATION
+        self._place, distance = _framing(shown.box, width / height)
+        self._follows = distance > _FARTHEST
+        self._camera.distance = _DISTANCE if self._follows else distance
 
     def draw(self) -> NDArray[np.uint8]:
         """Return a picture from outside, (H, W, 3)."""
-        self._camera.lookat[:] = self._shown.data.qpos[:3]
+        robot = self._shown.data.qpos[:3]
+        beside = robot[0] - np.clip(robot[0], *self._shown.course), 0.0, 0.0
+        self._camera.lookat[:] = robot if self._follows else self._place + beside
         return self._rendered(self._camera, hidden=RIGHT).pixels
 
     def look(self, view: View) -> CameraImage:
@@ -217,6 +246,30 @@ class Camera:
         depth = NEAR * FAR / (buffer[::-1].astype(np.float64) * (FAR - NEAR) + NEAR)
         depth[depth >= _SKY_DEPTH * FAR] = np.inf
         return CameraImage(pixels[::-1].copy(), depth.astype(np.float32))
+
+
+def _framing(box: FloatArray, aspect: float) -> tuple[FloatArray, float]:
+    """Return the place (x, y, z) to look at from outside and the least distance that shows a box.
+
+    ``box``: lowest and highest x, y, z, (2, 3) [m]; ``aspect``: width per height of a picture [-].
+    """
+    azimuth, elevation = math.radians(_AZIMUTH), math.radians(_ELEVATION)
+    level = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    right, ahead = np.array([level[1], -level[0], 0.0]), math.cos(elevation) * level
+    ahead[2] = math.sin(elevation)
+    tall = math.tan(math.radians(_ANGLE) / 2)
+    wide = aspect * tall
+    # The place is where the left and the right corners need the same distance.
+    place = box.mean(axis=0)
+    corners = np.array(list(product(*box.T))) - place  # (8, 3) [m]
+    aside, deep = corners @ right / wide, corners @ ahead
+    shift = ((aside - deep).max() - (-aside - deep).max()) * wide / (2 * right[0])
+    place[0] += shift
+    corners[:, 0] -= shift
+    beside = np.maximum(
+        np.abs(corners @ right) / wide, np.abs(corners @ np.cross(right, ahead)) / tall
+    )
+    return place, float((beside - corners @ ahead).max())
 
 
 def _context(width: int, height: int) -> Any:

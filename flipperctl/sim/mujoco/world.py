@@ -377,7 +377,7 @@ class MujocoWorld:
         from flipperctl.sim.mujoco.shown import Camera, Shown
 
         if self._shown is None:
-            self._shown = Shown(self.robot, self.sim, self.strips, self.model)
+            self._shown = Shown(self.profile, self.robot, self.sim, self.strips, self.model)
         if (width, height) not in self._cameras:
             self._cameras[width, height] = Camera(self._shown, width, height)
         self._shown.pose(self.data.qpos, self.robot.track_speed * self.time)

@@ -70,6 +70,8 @@ def test_a_step_has_a_riser_of_another_colour_and_lines_at_its_edges() -> None:
     (treads,) = (faces for faces in meshes.values() if set(faces) == {(0, 0, 1)})
     assert treads[0, 0, 1] == pytest.approx(41 * 2.7)  # 20 m of level ground at each end
     assert GROUND in meshes
+    shading = {mesh.colour: mesh.shades for mesh in ground_meshes(strips, -0.7, 2.0)}
+    assert [meshes[colour] for colour, shades in shading.items() if not shades] == [treads]
     right, left = (ground_meshes(strips, *between) for between in ((-2.0, -0.7), (-0.7, 2.0)))
     assert max(mesh.triangles[..., 1].max() for mesh in right) == pytest.approx(-0.7)
     assert min(mesh.triangles[..., 1].min() for mesh in left) == pytest.approx(-0.7)

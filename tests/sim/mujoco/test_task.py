@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from flipperctl.env.pictures import HEIGHT, WIDTH
 from flipperctl.errors import ConfigError, RequestError, TerrainError
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco import world as placing
+from flipperctl.sim.mujoco.shown import _framing
 from tests.cli.call import EXACT, call
 
 DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
@@ -102,6 +104,33 @@ def test_render_shows_the_world_in_3d_and_leaves_the_episode_alone() -> None:
     assert orange.sum() > 1000
     assert np.array_equal(*(env.step(8)[0] for env in (drawn, plain)))
     assert plain.render() is None
+
+
+@draws
+@pytest.mark.parametrize(("length", "still"), [(0.5, True), (12.0, False)])
+def test_the_camera_stands_still_on_a_course_that_it_shows_whole(
+    length: float, still: bool
+) -> None:
+    block = api.Profile([(0.0, 0.0), (0.0, 0.2), (length, 0.2)])
+    world = Mujoco().place(block, api.Robot(), api.Start(-1.0), np.random.default_rng(0))
+    before = world.draw(240, 96)  # type: ignore[attr-defined]
+    world.advance(200)
+    changed = (before != world.draw(240, 96)).any(axis=2)  # type: ignore[attr-defined]
+    assert changed[:, :120].any()
+    assert changed[:, 160:].any() != still  # far ahead of the robot
+
+
+def test_a_course_is_as_wide_as_its_picture() -> None:
+    box = np.array([[-2.0, -0.4, 0.0], [4.0, 0.4, 0.8]])
+    place, distance = _framing(box, 2.5)
+    azimuth, elevation = math.radians(72), math.radians(-14)
+    ahead = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
+    ahead *= math.cos(elevation)
+    right = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
+    corners = np.array(list(product(*box.T))) - place
+    half = 2.5 * math.tan(math.radians(13)) * (distance + corners @ ahead)
+    aside = corners @ right / half
+    assert (aside.min(), aside.max()) == (pytest.approx(-1.0), pytest.approx(1.0))
 
 
 def place(**sim: object) -> api.World:
