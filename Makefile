@@ -6,7 +6,7 @@
 #   make ros     runs the tests on real rclpy of two distributions at a time, which it installs
 #   make long    runs the tests marked as long, each night; about half an hour
 #   make check runs the static checks and the quick tests, for use while one works
-#   make gallery  makes the pictures of docs/gallery.md anew
+#   make gallery  runs the commands of docs/gallery.md, which make its films and figures, in four minutes
 #   make docs  builds the documentation in build/docs, without the network; a warning is an error
 PYTHON ?= python3
 VENV := .venv
@@ -44,15 +44,11 @@ train: install
 		--episodes 50 --baseline level,geometric
 	@echo "To type flipperctl in this shell: . $(VENV)/bin/activate"
 
-KINDS := step stair building_stair ramp uplift gap wave rubble pallet plum
-comma := ,
-empty :=
-
+# The page is the list of its commands.
 gallery: install
-	$(BIN)/flipperctl eval generalist geometric level --baseline none --episodes 1 --seed 3 \
-		terrain=$(subst $(empty) ,$(comma),$(KINDS)) --output build/gallery
-	for kind in $(KINDS); do $(BIN)/flipperctl plot build/gallery --kind poses --scene $$kind \
-		--output docs/images/gallery_$$kind.png || exit; done
+	rm -rf build/gallery && mkdir -p build
+	grep '^flipperctl ' docs/gallery.md | (cd build && PATH="$(CURDIR)/$(BIN):$$PATH" sh -ex)
+	cp build/gallery_*.gif build/gallery_*.png docs/images
 
 # The static checks stand back behind the tests, which run beside them.
 check: setup

@@ -1,6 +1,7 @@
 """What the README, the pages of ``docs/``, CONTRIBUTING and SECURITY show, works."""
 
 import contextlib
+import json
 import math
 import re
 import runpy
@@ -34,6 +35,7 @@ ROOT = Path(__file__).parents[1]
 NAMES = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
 PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").rglob("*.md"))]
 TEXT = "\n".join(page.read_text() for page in PAGES)
+GALLERY = (ROOT / "docs" / "gallery.md").read_text()
 OWN_METHOD = ROOT / "docs" / "own_method.md"
 SHOWN = "runs/stair/2026-01-31_12-00-00"
 FIRST = "runs/first"  # the first run of the README, which is shown where it trains
@@ -311,6 +313,18 @@ def test_every_python_example_is_tried() -> None:
     others -= set(blocks("python", OWN_METHOD.read_text()))  # tests/test_own_method.py
     files = [unindented(path.read_text()) for path in (ROOT / "examples").glob("*.py")]
     assert [b for b in others if not any(unindented(b) in file for file in files)] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("section", GALLERY.split("\n## ")[1:], ids=lambda text: text.split(":")[0])
+def test_the_gallery_states_what_its_commands_print(section: str, tmp_path: Path) -> None:
+    """Where this fails, ``make gallery`` makes other pictures."""
+    command, *_ = commands(section)
+    done = call(*command[1 : command.index("--output")], "--json", cwd=tmp_path)
+    assert done.code == 0, done.err
+    scenes = json.loads(done.out)["scenes"]
+    printed = ", ".join(f"{scene['pitch_variation_100hz']['mean']:.2f}" for scene in scenes)
+    assert section.splitlines()[0].partition(": ")[2] == printed
 
 
 @pytest.mark.usefixtures("registry")
