@@ -35,9 +35,20 @@ def results(folder: Path) -> list[BenchmarkResult]:
 
 
 def leaderboard(files: Sequence[BenchmarkResult]) -> Table:
-    """Return the scores of all methods in both tracks, best first."""
+    """Return the scores of all methods for pairs, best in the plane first."""
+    return _board(files, [*_TELLING])
+
+
+def four(files: Sequence[BenchmarkResult]) -> Table:
+    """Return the scores of all methods for four flippers, best first."""
+    return _board(files, ["four"])
+
+
+def _board(files: Sequence[BenchmarkResult], tracks: Sequence[str]) -> Table:
+    """Return the scores of the methods that played the first of some tracks, best in it first."""
     methods = [document(r, scores(r, find_benchmark(r.benchmark))) for r in files]
-    methods.sort(key=lambda method: float(method["tracks"]["plane"]["ratio"]["mean"]))
+    methods = [method for method in methods if tracks[0] in method["tracks"]]
+    methods.sort(key=lambda method: float(method["tracks"][tracks[0]]["ratio"]["mean"]))
     rows = [
         {"method": f"`{method['method']}`"}
         | {track: part["ratio"] for track, part in method["tracks"].items()}
@@ -45,7 +56,7 @@ def leaderboard(files: Sequence[BenchmarkResult]) -> Table:
         for method in methods
     ]
     columns = [Column("method", "method")]
-    for track in _TELLING:
+    for track in tracks:
         columns += [Column(track, track, 2), Column(f"{track} success", "success")]
     return Table(columns, rows)
 
@@ -80,7 +91,7 @@ def crossings(files: Sequence[BenchmarkResult]) -> Table:
         for r in files
         if r.method in _SHOWN
         for scene in r.scenes
-        if scene.scene in _TELLING[scene.track]
+        if scene.scene in _TELLING.get(scene.track, ())
     }
     rows = []
     for track, scene in dict.fromkeys((track, scene) for _, track, scene in played):
@@ -98,6 +109,7 @@ def crossings(files: Sequence[BenchmarkResult]) -> Table:
 
 TABLES: Mapping[str, Callable[[Sequence[BenchmarkResult]], Table]] = {
     "leaderboard": leaderboard,
+    "four": four,
     "scenes": by_scene,
     "crossings": crossings,
 }

@@ -7,6 +7,7 @@ numbers. They are set once: with another number it is another version.
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
@@ -25,12 +26,14 @@ def main(files: list[str]) -> None:
     benchmark, rules = find_benchmark("1"), [read_result(Path(f)) for f in files]
     lines = [f"about: {benchmark.about}", "tracks:"]
     for track, content in benchmark.tracks.items():
-        lines += [f"  {track}:", f"    episodes: {content.episodes}", "    scenes:"]
+        lines += [f"  {track}:", f"    episodes: {content.episodes}"]
+        lines += [f"    flippers: {content.flippers}"] * (content.flippers != "pairs")
+        lines += ["    rolls: true"] * content.rolls + ["    scenes:"]
         for name, scene in content.scenes.items():
-            parts = {rule.method: _played(rule, track, name) for rule in rules}
-            played = {rule: part for rule, part in parts.items() if part is not None}
+            parts = [(rule.method, _played(rule, track, name)) for rule in rules]
+            played = {rule: part for rule, part in parts if part is not None}
             # A failure costs what the roughest crossing by any rule does.
-            price = round(max(PRICE, *(_roughest(part) for part in played.values())), 3)
+            price = round(max([PRICE, *map(_roughest, played.values())]), 3)
             costs = {rule: float(part.costs(price).mean()) for rule, part in played.items()}
             print(f"{track}: {name}: {costs}", file=sys.stderr)
             lines += [
@@ -48,8 +51,8 @@ def _played(rule: BenchmarkResult, track: str, scene: str) -> PlayedEpisodes | N
 
 
 def _roughest(played: PlayedEpisodes) -> float:
-    crossings = zip(played.outcomes, played.pitch_variation_100hz, strict=True)
-    return max((v for o, v in crossings if o == Outcome.REACHED and v is not None), default=0.0)
+    crossings = zip(played.outcomes, played.costs(math.inf).tolist(), strict=True)
+    return max((cost for outcome, cost in crossings if outcome == Outcome.REACHED), default=0.0)
 
 
 if __name__ == "__main__":

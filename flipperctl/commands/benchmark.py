@@ -68,6 +68,7 @@ def benchmark(
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation import benchmark as frozen
     from flipperctl.evaluation.plan import entrants, refuse_beside, split_policies
+    from flipperctl.policies.source import load_policy
     from flipperctl.text.files import write_bytes
     from flipperctl.text.show import console, print_table
     from flipperctl.views.benchmark import document, table
@@ -96,8 +97,10 @@ def benchmark(
     # Whatever the folder lacks is played.
     if not names:
         raise RequestError("name a policy, as in: flipperctl benchmark generalist")
-    sections = suite.sections(track or (), edition)
-    entries = _planned(entrants(names, print_note), sections, settings)
+    policies = entrants(names, print_note)
+    tracks = track or suite.tracks_for(load_policy(p.run or p.controller).robot() for p in policies)
+    sections = suite.sections(tracks, edition)
+    entries = _planned(policies, sections, settings)
     results = frozen.results_of(suite, edition, sections, _play(entries, output))
     tables = [document(result, frozen.scores(result, suite)) for result in results]
     for result in results:

@@ -2,8 +2,9 @@
 
 In: a file of scenes, and the episodes of a method's policies and of the rules on them. Out: a
 result file that others can verify. A scene's score is the mean cost of the policy's episodes as a
-fraction of the rule's: the pitch variation of a crossing, or the scene's price for a failure. No
-other method has a part in it. The seeds of an edition follow from its salt.
+fraction of the rule's: the pitch variation of a crossing, on some tracks with the roll's, or the
+scene's price for a failure. No other method has a part in it. The seeds of an
+edition follow from its salt.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
-from flipperctl.api import FloatArray, Outcome
+from flipperctl.api import FloatArray, Outcome, Robot
 from flipperctl.config import strict_yaml
 from flipperctl.config.presets import presets
 from flipperctl.config.resolver import parse
+from flipperctl.core.targets import Flippers
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.rows import DIGEST, Episodes
@@ -32,8 +34,8 @@ from flipperctl.evaluation.store import versions_here
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.text.messages import unknown
 
-MEASURE = "pitch_variation_100hz"
-"""Measure of a crossing's cost [rad]."""
+MEASURE, ROLL = "pitch_variation_100hz", "roll_variation_100hz"
+"""Measures of a crossing's cost; the second where a track says so [rad]."""
 _DIGITS = 16  # hexadecimal digits of the hashes in a file
 
 
@@ -53,6 +55,8 @@ class Track(_Frozen):
     """Scenes that make one score."""
 
     episodes: int = Field(ge=5, description="episodes of each scene [-]")
+    flippers: Flippers = Field("pairs", description="flippers of the robot [-]")
+    rolls: bool = Field(False, description="a crossing costs its roll variation, too [-]")
     scenes: dict[str, Scene] = Field(min_length=1)
 
 
@@ -71,6 +75,14 @@ class Benchmark(_Frozen):
         """
         played = [[s.label, s.words, s.scene.strongest] for s in self.sections(tracks)]
         return _hash([self.name, played])
+
+    def tracks_for(self, robots: Iterable[Robot | None]) -> list[str]:
+        """Return the tracks that policies for these robots play; None stands for any robot."""
+        flippers = {robot.flippers for robot in robots if robot is not None}
+        chosen = [name for name, track in self.tracks.items() if flippers <= {track.flippers}]
+        if not chosen:
+            raise RequestError("policies for pairs and for four flippers have no track in common")
+        return chosen
 
     def sections(self, tracks: Iterable[str], salt: str = "") -> list[Section]:
         """Return the scenes of some tracks, or of all without any, with the seeds of an edition.
@@ -139,20 +151,35 @@ class PlayedEpisodes(_Frozen):
     """θ̂_R at 100 Hz [rad]."""
     digests: tuple[str, ...]
     """Beginnings of the SHA-256 of all actions and poses."""
+    roll_variation_100hz: tuple[float | None, ...] = ()
+    """Of tracks that count it [rad]."""
+
+    @model_serializer(mode="wrap")
+    def _without_what_no_track_counts(self, dump: Any) -> dict[str, Any]:
+        # Files of the other tracks, and their hashes, are those of before.
+        return {name: value for name, value in dump(self).items() if value or name != ROLL}
 
     @classmethod
-    def of(cls, episodes: Episodes) -> Self:
-        """Take what counts from rows of episodes."""
+    def of(cls, episodes: Episodes, *, rolls: bool) -> Self:
+        """Take what counts from rows of episodes; see ``Track.rolls``."""
         return cls(
             outcomes=tuple(row["outcome"] for row in episodes),
             pitch_variation_100hz=tuple(row[MEASURE] for row in episodes),
             digests=tuple(row[DIGEST][:_DIGITS] for row in episodes),
+            roll_variation_100hz=tuple(row[ROLL] for row in episodes) if rolls else (),
         )
+
+    def sizes(self, *, rolls: bool) -> set[int]:
+        """Return the numbers of outcomes, costs and digests."""
+        names = {*type(self).model_fields} - ({ROLL} if not rolls else set())
+        return {len(getattr(self, name)) for name in names}
 
     def costs(self, price: float) -> FloatArray:
         """Return the cost of each episode, (E,) [rad]."""
         reached = [outcome == Outcome.REACHED for outcome in self.outcomes]
         values = np.array(self.pitch_variation_100hz, dtype=float)
+        if self.roll_variation_100hz:
+            values += np.array(self.roll_variation_100hz, dtype=float)
         return np.where(reached, np.minimum(values, price), price)
 
 
@@ -164,12 +191,6 @@ class SceneResult(_Frozen):
     policies: tuple[PlayedEpisodes, ...]
     """Of each training seed, in the order of ``BenchmarkResult.policies``."""
     rule: PlayedEpisodes
-
-    @property
-    def sizes(self) -> list[int]:
-        """Numbers of outcomes, costs and digests, of each policy and of the rule."""
-        played = (*self.policies, self.rule)
-        return [len(getattr(part, name)) for part in played for name in PlayedEpisodes.model_fields]
 
     def ratios(self, price: float) -> FloatArray:
         """Return numbers whose mean is the ratio of the mean costs, (S, E).
@@ -230,13 +251,13 @@ class BenchmarkResult(_Frozen):
         if self.scenes_hash != benchmark.digest(tracks):
             raise RequestError(f"{where}: its scenes are not those of benchmark {self.benchmark}")
         # Whole tracks alone make a score: every scene, every policy, every episode
-        sections = benchmark.sections(tracks)
-        stated = [(part.track, part.scene, part.sizes) for part in self.scenes]
-        whole = [
-            (s.track, s.name, [benchmark.tracks[s.track].episodes] * 3 * (len(self.policies) + 1))
-            for s in sections
-        ]
-        if stated != whole:
+        wanted = [(section.track, section.name) for section in benchmark.sections(tracks)]
+        whole = wanted == [(part.track, part.scene) for part in self.scenes]
+        for part in self.scenes if whole else ():
+            track, played = benchmark.tracks[part.track], (*part.policies, part.rule)
+            sizes = [one.sizes(rolls=track.rolls) for one in played]
+            whole &= sizes == [{track.episodes}] * (len(self.policies) + 1)
+        if not whole:
             raise RequestError(f"{where}: it lacks some of the episodes of its tracks")
 
 
@@ -260,6 +281,7 @@ def results_of(
     for method in methods:
         scenes, policies, versions = [], list[PolicyEntry](), dict[str, str]()
         for section in sections:
+            rolls = benchmark.tracks[section.track].rolls
             here = [p for p in result.played if p.entry.scene == section.label]
             (rule,) = (p for p in here if p.entry.is_baseline)
             of_method = [p for p in here if p.entry.method == method and p is not rule]
@@ -267,8 +289,8 @@ def results_of(
                 SceneResult(
                     track=section.track,
                     scene=section.name,
-                    policies=tuple(PlayedEpisodes.of(p.episodes) for p in of_method),
-                    rule=PlayedEpisodes.of(rule.episodes),
+                    policies=tuple(PlayedEpisodes.of(p.episodes, rolls=rolls) for p in of_method),
+                    rule=PlayedEpisodes.of(rule.episodes, rolls=rolls),
                 )
             )
             # The policies are the same on every scene, and so is the code that plays them.
@@ -337,10 +359,10 @@ def sample(
 
 def difference(stated: PlayedEpisodes, index: int, row: Mapping[str, Any]) -> str:
     """Return how an episode that was played again differs from a file's; empty if it is equal."""
-    now = PlayedEpisodes.of(Episodes((dict(row),)))
+    now = PlayedEpisodes.of(Episodes((dict(row),)), rolls=bool(stated.roll_variation_100hz))
     changes = [
         f"{name} {getattr(stated, name)[index]}, now {getattr(now, name)[0]}"
         for name in PlayedEpisodes.model_fields
-        if getattr(stated, name)[index] != getattr(now, name)[0]
+        if getattr(now, name) and getattr(stated, name)[index] != getattr(now, name)[0]
     ]
     return "; ".join(changes)

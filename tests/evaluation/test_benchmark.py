@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from flipperctl.api import Outcome
+from flipperctl.api import Outcome, Robot
 from flipperctl.config.presets import presets
+from flipperctl.errors import RequestError
 from flipperctl.evaluation import benchmark as frozen
 
 
@@ -73,3 +74,22 @@ def test_the_interval_of_a_score_holds_the_truth_where_few_episodes_fail(seeds: 
         assert interval.high is not None
         held += interval.low <= truth <= interval.high
     assert held / len(effects) >= 0.93
+
+
+def test_a_policy_plays_the_tracks_of_its_flippers() -> None:
+    version = frozen.find_benchmark("1")
+    assert version.tracks_for([Robot()]) == ["plane", "3-D"]
+    assert version.tracks_for([Robot(flippers="four"), None]) == ["four"]
+    assert version.tracks_for([None]) == [*version.tracks]
+    with pytest.raises(RequestError, match="no track in common"):
+        version.tracks_for([Robot(), Robot(flippers="four")])
+
+
+def test_a_crossing_costs_its_roll_where_a_track_says_so() -> None:
+    pitched = _played([1.0, 2.0], [False, True])
+    rolled = pitched.model_copy(update={"roll_variation_100hz": (0.5, None)})
+    np.testing.assert_array_equal(rolled.costs(7.0), [1.5, 7.0])
+    assert rolled.sizes(rolls=True) == {2}
+    assert pitched.sizes(rolls=True) == {0, 2}  # a file that leaves it out lacks episodes
+    # Hashes of the other tracks' files are those of before.
+    assert "roll_variation_100hz" not in pitched.model_dump(mode="json")
