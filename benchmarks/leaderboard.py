@@ -12,9 +12,7 @@ from flipperctl.text.show import Column, Table, markdown
 from flipperctl.views.benchmark import document
 
 _SHOWN = "generalist", "geometric", "okada", "level"
-"""Methods whose pitch variation stands beside each other."""
-_COMPARED = (*_SHOWN, "at_d3qn")
-"""Methods whose costs are compared by scene; the first with intervals."""
+"""Methods that are compared by scene; the costs of the first have intervals."""
 _TELLING = {
     "plane": (
         *("step", "uplift", "gap", "plum", "stairwell", "natural ground, class G"),
@@ -68,10 +66,8 @@ def _name(track: str, scene: str) -> str:
 
 def by_scene(files: Sequence[BenchmarkResult]) -> Table:
     """Return the costs of some methods on each scene; the files have those of all."""
-    played = {
-        r.method: scores(r, find_benchmark(r.benchmark)) for r in files if r.method in _COMPARED
-    }
-    first, *others = [method for method in _COMPARED if method in played]
+    played = {r.method: scores(r, find_benchmark(r.benchmark)) for r in files if r.method in _SHOWN}
+    first, *others = [method for method in _SHOWN if method in played]
     rows = [
         {
             "scene": _name(*at),
@@ -81,7 +77,7 @@ def by_scene(files: Sequence[BenchmarkResult]) -> Table:
         for at, score in played[first].items()
         if at[1]
     ]
-    return Table((Column("scene", "scene"), *(Column(m, f"`{m}`", 2) for m in _COMPARED)), rows)
+    return Table((Column("scene", "scene"), *(Column(m, f"`{m}`", 2) for m in _SHOWN)), rows)
 
 
 def crossings(files: Sequence[BenchmarkResult]) -> Table:
