@@ -108,6 +108,8 @@ def series_figure(
 ) -> Figure:
     """Draw pitch, flippers and the height of the chassis over time, a curve for each policy.
 
+    Of four flippers, a pale curve shows the left one.
+
     ``places``: see ``figure.places``. A cross ends the curve of an episode that did not reach the
     finish.
     """
@@ -117,7 +119,9 @@ def series_figure(
     for panel, (label, values) in zip(axes, _SERIES.items(), strict=True):
         style_axes(panel, "", "", label)
         for shown, trace in zip(looks, traces, strict=True):
-            curve = values(trace)
+            far, curve = values(trace)
+            if far is not None:
+                panel.plot(trace.time, far, **shown, alpha=0.45)
             panel.plot(trace.time, curve, **shown)
             if trace.outcome != Outcome.REACHED:
                 panel.plot(
@@ -133,15 +137,25 @@ def series_figure(
             panel.set_xlabel("Time [s]")
     lines = [Line2D([], [], label=name, **shown) for shown, name in zip(looks, names, strict=True)]
     legend(figure, lines if len(lines) > 1 else [])
+    if any(trace.flippers.size for trace in traces):
+        axes[1].set_title("Pale: on the left side", loc="right")
     figure.align_ylabels()
     return figure
 
 
-_SERIES: dict[str, Callable[[Trace], FloatArray]] = {
-    "Pitch [°]": lambda trace: np.degrees(trace.pitch),
-    "Front\nflippers [°]": lambda trace: np.degrees(trace.front),
-    "Rear\nflippers [°]": lambda trace: np.degrees(trace.rear),
-    "Chassis\nheight [m]": lambda trace: trace.position[:, 1] - trace.position[0, 1],
+def _sides(trace: Trace, end: int) -> tuple[FloatArray | None, FloatArray]:
+    """Return the angles of the left and the right flipper at an end [°]; of pairs, the second."""
+    if trace.flippers.size:
+        left, right = np.degrees(trace.flippers[:, 2 * end : 2 * end + 2]).T
+        return left, right
+    return None, np.degrees((trace.front, trace.rear)[end])
+
+
+_SERIES: dict[str, Callable[[Trace], tuple[FloatArray | None, FloatArray]]] = {
+    "Pitch [°]": lambda trace: (None, np.degrees(trace.pitch)),
+    "Front\nflippers [°]": lambda trace: _sides(trace, 0),
+    "Rear\nflippers [°]": lambda trace: _sides(trace, 1),
+    "Chassis\nheight [m]": lambda trace: (None, trace.position[:, 1] - trace.position[0, 1]),
 }
 
 

@@ -52,9 +52,11 @@ class RobotArtist:
             tuple(fade + (1 - fade) * part for part in to_rgb(colour))
             for colour in (CHASSIS, FRONT, REAR, BELT, INK)
         )
-        # The flippers lie over the chassis; each has a belt, a body inside it, and marks on the
-        # belt.
-        groups = (([chassis], zorder), ([front, rear], zorder + 0.3))
+        # The flippers lie over the chassis, those of the far side behind it, if they turn alone;
+        # each has a belt, a body inside it, and marks on the belt.
+        groups = (
+            ([chassis], zorder), ([front, rear], zorder + 0.3), ([front, rear], zorder - 0.3)
+        )  # fmt: skip
         self._belts = [PolyCollection([], facecolors=[belt], zorder=z) for _, z in groups]
         self._bodies = [
             PolyCollection([], facecolors=colours, zorder=z + 0.1) for colours, z in groups
@@ -80,10 +82,10 @@ class RobotArtist:
         """Draw the robot, and marks on its belts if their ``travel`` [m] is given."""
         ends, radius, depth = axles(state, robot), robot.track_radius, 0.28 * robot.track_radius
         outer, inner = outlines(state, robot), outlines(state, robot, inset=depth)
-        for i, parts in enumerate((slice(0, 1), slice(1, 3))):
+        for i, parts in enumerate((slice(0, 1), slice(1, 3), slice(3, 5))):
             self._belts[i].set_verts(list(outer[parts]))
             self._bodies[i].set_verts(list(inner[parts]))
-            if travel is not None:
+            if travel is not None and len(ends[parts]):
                 marks = [belt_marks(a, b, radius, travel, 3 * depth, depth) for a, b in ends[parts]]
                 self._marks[i].set_segments(list(np.concatenate(marks)))
         self._hinges.set_data(ends[0, :, 0], ends[0, :, 1])

@@ -65,9 +65,10 @@ class Trace:
     pitch: FloatArray
     """Nose up positive, (T,) [rad]."""
     front: FloatArray
-    """Angle of the front flippers to the chassis, above it positive, (T,) [rad]."""
+    """Angle of the front flippers to the chassis, above it positive, the mean of both sides, (T,)
+    [rad]."""
     rear: FloatArray
-    """Angle of the rear flippers to the chassis, above it positive, (T,) [rad]."""
+    """Angle of the rear flippers likewise, (T,) [rad]."""
     decided: FloatArray
     """Times of the decisions, (D,) [s]."""
     actions: FloatArray
@@ -79,6 +80,9 @@ class Trace:
     """Width of a bin [m]."""
     risk: FloatArray = field(default_factory=lambda: np.empty(0))
     """Risk at each decision, (D,); empty for a policy that tells none."""
+    flippers: FloatArray = field(default_factory=lambda: np.empty(0))
+    """Angles of four flippers, front left, front right, rear left and rear right, (T, 4) [rad];
+    empty for pairs."""
     maps: tuple[FloatArray, ...] = ()
     """Points of the map at each decision, D arrays (P, 2) [m]; empty unless the sensor maps."""
 
@@ -99,6 +103,7 @@ class Trace:
         poses: dict[str, Any] = {n: np.array([getattr(s, n) for s in states]) for n in _POSE}
         return cls(
             **poses,
+            flippers=np.array([s.flippers for s in states]),
             outcome=str(transitions[-1].outcome or ""),
             robot=transitions[0].robot,
             ground=profile.points,
@@ -121,6 +126,8 @@ class Trace:
     def state(self, index: int) -> RobotState:
         """Return the pose at an index into ``time``, with velocities of zero."""
         pose = {name: getattr(self, name)[index] for name in _POSE}
+        if self.flippers.size:
+            pose["flippers"] = tuple(self.flippers[index].tolist())
         return RobotState(**pose, velocity=np.zeros(2), pitch_rate=0.0)
 
     def latest(self, time: float) -> int:
@@ -129,7 +136,7 @@ class Trace:
 
 
 _POSE = ("position", "pitch", "front", "rear", "time")
-_ARRAYS = ("ground", *_POSE, "decided", "actions", "heights", "risk")
+_ARRAYS = ("ground", *_POSE, "decided", "actions", "heights", "risk", "flippers")
 _WORDS = ("policy", "scene", "episode", "seed", "outcome", "conditions", "digest", "bin_width")
 _GEOMETRY = tuple(RobotGeometry.model_fields)
 
@@ -189,7 +196,8 @@ def write(path: Path, traces: Sequence[Trace]) -> None:
     arrays, headers = dict[str, Any](), list[dict[str, Any]]()
     for at, trace in enumerate(traces):
         for name in _ARRAYS:
-            arrays[f"{at}.{name}"] = np.asarray(getattr(trace, name), np.float32)
+            if name != "flippers" or trace.flippers.size:
+                arrays[f"{at}.{name}"] = np.asarray(getattr(trace, name), np.float32)
         # Maps differ in length: their points lie in one array, the counts in the header.
         arrays[f"{at}.maps"] = np.concatenate([*trace.maps, np.empty((0, 2))]).astype(np.float32)
         headers.append(
@@ -225,7 +233,7 @@ def read(path: Path) -> list[Trace]:
 
 
 def _trace(file: Mapping[str, FloatArray], at: int, header: Mapping[str, Any]) -> Trace:
-    arrays: dict[str, Any] = {name: file[f"{at}.{name}"] for name in _ARRAYS}
+    arrays: dict[str, Any] = {n: file[f"{at}.{n}"] for n in _ARRAYS if f"{at}.{n}" in file}
     ends = np.cumsum(header["map_points"], dtype=np.int64)
     trace = Trace(
         **{name: header[name] for name in _WORDS},
@@ -243,6 +251,7 @@ def _trace(file: Mapping[str, FloatArray], at: int, header: Mapping[str, Any]) -
         "risk": (len(trace.risk),),
         **dict.fromkeys(("time", "pitch", "front", "rear"), (count,)),
         "decided": (decisions,),
+        "flippers": (count, 4),
     }
     for name, array in arrays.items():
         if array.shape != shapes[name] or not (name == "heights" or np.isfinite(array).all()):

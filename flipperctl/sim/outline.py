@@ -24,17 +24,21 @@ def axles(state: RobotState, robot: RobotGeometry) -> FloatArray:
 
     Axes: part (chassis, front, rear), end (rear, front), coordinate (x, z). The hinges of the
     front and the rear flippers are ``[0, 1]`` and ``[0, 0]``; the flippers' tips ``[1, 1]`` and
-    ``[2, 0]``.
+    ``[2, 0]``. Of four flippers, these are the right ones, and the left ones follow: (5, 2, 2).
     """
     ahead = robot.hinge_offset * _direction(state.pitch)
     front_hinge, rear_hinge = state.position + ahead, state.position - ahead
-    front_tip = front_hinge + robot.flipper_axle * _direction(state.pitch + state.front)
-    rear_tip = rear_hinge - robot.flipper_axle * _direction(state.pitch - state.rear)
-    return np.array([[rear_hinge, front_hinge], [front_hinge, front_tip], [rear_tip, rear_hinge]])
+    parts = [[rear_hinge, front_hinge]]
+    sides = [state.flippers[1::2], state.flippers[::2]] if state.flippers else []
+    for front, rear in sides or [(state.front, state.rear)]:
+        front_tip = front_hinge + robot.flipper_axle * _direction(state.pitch + front)
+        rear_tip = rear_hinge - robot.flipper_axle * _direction(state.pitch - rear)
+        parts += [[front_hinge, front_tip], [rear_tip, rear_hinge]]
+    return np.array(parts)
 
 
 def outlines(state: RobotState, robot: RobotGeometry, inset: float = 0.0) -> FloatArray:
-    """Return the outlines of the three parts as closed polygons, (3, 26, 2) in world [m].
+    """Return the outlines of the parts of ``axles`` as closed polygons, (3, 26, 2) in world [m].
 
     The outlines are moved inward by ``inset`` [m], as for the inner side of a belt of that
     thickness.

@@ -389,6 +389,10 @@ def _plain(trace: Trace) -> dict[str, Any]:
         "front": trace.front,
         "rear": trace.rear,
     }
+    # The player draws the right side, and the left one behind it.
+    if trace.flippers.size:
+        names = "far_front", "front", "far_rear", "rear"
+        columns |= dict(zip(names, trace.flippers.T, strict=True))
     robot = trace.robot
     return {
         "scene": trace.scene,

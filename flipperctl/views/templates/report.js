@@ -16,7 +16,9 @@
   // Traces: differences of thousandths become metres, radians and seconds.
   const summed = (steps) => { let sum = 0; return steps.map((step) => (sum += step) / 1000); };
   for (const trace of data.traces) {
-    for (const key of ["t", "x", "z", "pitch", "front", "rear"]) trace[key] = summed(trace[key]);
+    trace.moved = ["x", "z", "pitch", "front", "rear", "far_front", "far_rear"].filter((key) => trace[key]);
+    for (const key of ["t", ...trace.moved]) trace[key] = summed(trace[key]);
+    find("sides").hidden &&= !trace.far_front;
     trace.end = trace.t[trace.t.length - 1];
     let sum = 0; // pitch variation so far [rad]
     trace.rocked = trace.pitch.map((pitch, i) => (sum += i ? Math.abs(pitch - trace.pitch[i - 1]) : 0));
@@ -37,7 +39,7 @@
     const span = trace.t[next] - trace.t[at];
     const part = span > 0 ? Math.min(1, Math.max(0, (time - trace.t[at]) / span)) : 0;
     const found = {};
-    for (const key of ["x", "z", "pitch", "front", "rear", "rocked"]) {
+    for (const key of [...trace.moved, "rocked"]) {
       found[key] = trace[key][at] + part * (trace[key][next] - trace[key][at]);
     }
     return found;
@@ -53,22 +55,22 @@
   }
 
   class Robot {
-    constructor(parent, [hinge, axle, radius]) {
+    constructor(parent, {robot: [hinge, axle, radius], far_front}) {
       this.sizes = [hinge, axle];
       this.group = element("g", {}, parent);
-      const parts = ["chassis", "front", "rear"];
+      const near = ["chassis", "front", "rear"], parts = far_front ? ["front", "rear", ...near] : near;
       this.lines = parts.map((name) => [["belt", 2], [name, 1.44]].map(([kind, width]) =>
         element("line", {class: kind, "stroke-width": width * radius}, this.group)));
       this.hinges = [0, 1].map(() => element("circle", {class: "hinge", r: 0.3 * radius}, this.group));
     }
 
-    show({x, z, pitch, front, rear}) {
+    show({x, z, pitch, front, rear, far_front, far_rear}) {
       const [hinge, axle] = this.sizes;
       const ahead = (from, length, angle) =>
         [from[0] + length * Math.cos(angle), from[1] + length * Math.sin(angle)];
       const nose = ahead([x, z], hinge, pitch), tail = ahead([x, z], -hinge, pitch);
-      const ends = [[tail, nose], [nose, ahead(nose, axle, pitch + front)],
-        [ahead(tail, -axle, pitch - rear), tail]];
+      const flippers = (front, rear) => [[nose, ahead(nose, axle, pitch + front)], [ahead(tail, -axle, pitch - rear), tail]];
+      const ends = [...(far_front === undefined ? [] : flippers(far_front, far_rear)), [tail, nose], ...flippers(front, rear)];
       ends.forEach(([a, b], part) => {
         for (const line of this.lines[part]) {
           const place = {x1: a[0], y1: -a[1], x2: b[0], y2: -b[1]};
@@ -88,7 +90,7 @@
     drawGround(svg, trace.points);
     for (const [ago, opacity] of [[6, 0.2], [3, 0.45], [0, 1]]) {
       if (ago > trace.end) continue;
-      const robot = new Robot(svg, trace.robot);
+      const robot = new Robot(svg, trace);
       robot.group.setAttribute("opacity", opacity);
       robot.show(pose(trace, trace.end - ago));
     }
@@ -96,7 +98,6 @@
 
   // The player
   const degrees = (angle) => `${angle < -0.0087 ? "−" : ""}${Math.abs(angle * 180 / Math.PI).toFixed(0)}°`;
-  const CURVES = ["pitch", "front", "rear"];
 
   // The box that holds all poses and the ground below them, (left, right, low, high) [m].
   function extent(traces) {
@@ -135,7 +136,7 @@
       drawGround(scene, trace.points);
       const walked = trace.x.map((x, i) => `${x} ${-trace.z[i]}`).join("L");
       element("path", {class: "path", d: `M${walked}`}, scene);
-      this.robot = new Robot(scene, trace.robot);
+      this.robot = new Robot(scene, trace);
       this.seen = element("path", {class: "seen"}, scene);
       this.ruler = element("g", {}, scene);
       element("line", {class: "scale", x1: 0, x2: 1, y1: 0, y2: 0}, this.ruler);
@@ -144,7 +145,7 @@
 
     drawCurves(plot, svg, seek) {
       const {trace, end} = this;
-      const most = Math.max(Math.PI / 3, ...CURVES.flatMap((key) => trace[key].map(Math.abs))) * 1.05;
+      const most = Math.max(Math.PI / 3, ...trace.moved.slice(2).flatMap((key) => trace[key].map(Math.abs))) * 1.05;
       svg.setAttribute("viewBox", `0 ${-most} ${end} ${2 * most}`);
       const line = (x1, x2, y1, y2, kind) => element("line", {class: kind, x1, x2, y1, y2}, svg);
       for (const angle of [-60, -30, 0, 30, 60]) {
@@ -157,9 +158,10 @@
         plot.append(label);
       }
       for (let time = 10; time < end; time += 10) line(time, time, -most, most, "grid");
-      for (const key of [...CURVES].reverse()) {
+      for (const key of [...trace.moved.slice(2)].reverse()) {
         const points = trace[key].map((value, i) => `${trace.t[i]},${-value}`).join(" ");
-        element("polyline", {class: key === "pitch" ? "chassis" : key, points}, svg);
+        const [name, far] = [key.replace("far_", ""), key.startsWith("far_") ? " far" : ""];
+        element("polyline", {class: (name === "pitch" ? "chassis" : name) + far, points}, svg);
       }
       this.cursor = line(0, 0, -most, most, "cursor");
       const ends = document.createElement("span");
