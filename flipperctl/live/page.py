@@ -29,6 +29,8 @@ _AFTER = 1.5
 """Pause after an episode before the next one begins [s]."""
 _MOST = 4
 """Largest number of policies at once [-]."""
+_LETTERS = 16
+"""Letters of a policy's name in the scene; the panel has the whole one [-]."""
 _LONGEST = 12
 """Decisions of a plan that are listed [-]."""
 _POINTS = 300
@@ -311,7 +313,9 @@ class WatchPage:
         grounds = [Laid.of(e.profile, e.drive.world.of_engine) for e in envs]
         floor = self._stage.begin(grounds)
         for number, ((lane, scene), start) in enumerate(zip(self._lanes, starts, strict=True)):
-            env, label = envs[number], lane.entrant.label
+            # A single robot needs no name, and on a phone a long one has no place.
+            name = lane.entrant.label if len(envs) > 1 else ""
+            env, label = envs[number], name if len(name) <= _LETTERS else f"{name[: _LETTERS - 1]}…"
             finish, ground = env.scene.finish, grounds[number]
             scene.begin(env.profile, env.robot, finish, floor, label, ground)
             scene.show(start.states[0])
