@@ -179,7 +179,7 @@ def strange_words() -> Iterator[str]:
     """Yield settings of the glossary and of other tools' words that do not exist, and extras."""
     known = re.findall(r"^\| `([\w.<>]+)` \|", generate.settings(), re.MULTILINE)
     sections = "|".join({path.partition(".")[0] for path in known if "." in path})
-    texts = [*GLOSSARY.values(), *elsewhere.HERE.values()]
+    texts = [*GLOSSARY.values(), *(text for word in elsewhere.WORDS.values() for text in word.ours)]
     named = re.findall(rf"\b(?:{sections})\.[a-z_0-9.]*[a-z0-9]\b", " ".join(texts))
     for path in dict.fromkeys(named):
         if re.sub(r"^rewards\.\w+\.", "rewards.<term>.", path) not in known:

@@ -284,7 +284,7 @@ class Hit:
 
 
 def search(words: str, commands: Mapping[str, str], most: int = 10) -> list[Hit]:
-    """Return what fits words best, names before descriptions; ``commands``: summary by name."""
+    """Return what fits words best, names before descriptions; ``commands``: help by name."""
     tokens = re.findall(r"[^\W_]+", words.lower())
     needed = 1 if " " in words else len(tokens)  # agent.gama is a misspelling
     scored = []
@@ -300,7 +300,13 @@ def search(words: str, commands: Mapping[str, str], most: int = 10) -> list[Hit]
         if sum(map(bool, each)) >= needed:
             scored.append((sum(map(bool, each)), sum(each), -len(name), hit))
     scored.sort(key=lambda scored_hit: scored_hit[:3], reverse=True)
-    return list({(hit.name, hit.kind): hit for *_, hit in reversed(scored)}.values())[::-1][:most]
+    hits = {(hit.name, hit.kind): hit for *_, hit in reversed(scored)}.values()
+    return [replace(hit, summary=_short(hit)) for hit in [*hits][::-1][:most]]
+
+
+def _short(hit: Hit) -> str:
+    """Return the text about a hit; of a command, its help's first sentence."""
+    return first_sentence(hit.summary.split("\n\n")[0]) if hit.kind == "command" else hit.summary
 
 
 def _everything(commands: Mapping[str, str]) -> Iterator[Hit]:

@@ -9,23 +9,25 @@ import copy
 import inspect
 import re
 from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.exceptions import TyperException
 
 from flipperctl.cli import plugged
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.terminal.streams import print_note
-from flipperctl.text.elsewhere import called_here, here
+from flipperctl.text.elsewhere import called_here
 
 
 class Command(TyperCommand):
     """A subcommand that refuses repeated options and explains unknown ones."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters; help shows no type behind those without a value."""
-        return _without_types(super().get_params(ctx))
+        """Return the parameters with the words by which help and errors name their values."""
+        return _with_words(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words after the subcommand."""
@@ -44,7 +46,14 @@ class Command(TyperCommand):
         for option in single:  # collect all values, of which click would keep the last
             names, nargs = option.opts, option.nargs
             parser.add_option(option, opts=names, dest=option.name, action="append", nargs=nargs)
-        values, words, _ = parser.parse_args(list(args))
+        try:
+            values, words, _ = parser.parse_args(list(args))
+        except TyperException as error:
+            name = getattr(error, "option_name", "")
+            for option in (o for o in options if name in o.opts and not o.is_flag):
+                text = f"{name} {option.metavar}: {option.metavar} is missing"
+                raise RequestError(f"{text}; see {ctx.command_path} --help") from error
+            raise
         if values.get("help"):
             return
         for option in single:
@@ -107,8 +116,8 @@ class Group(TyperGroup):
         """Return the subcommand that the words begin with, also one of a file of ``--plugins``."""
         if args[0] not in self.commands and not ctx.resilient_parsing:
             plugged.load_files(args)
-        if args[0] not in self.commands and (ours := here(args[0])):
-            raise RequestError(f"there is no command {args[0]!r}; here it is {ours}")
+        if args[0] not in self.commands and (hint := called_here(args[0])):
+            raise RequestError(f"there is no command {args[0]!r}{hint}")
         return super().resolve_command(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -121,8 +130,8 @@ class Group(TyperGroup):
         TyperGroup.format_help(listed, ctx, formatter)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters; help shows no type behind those without a value."""
-        return _without_types(super().get_params(ctx))
+        """Return the parameters with the words by which help and errors name their values."""
+        return _with_words(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words up to the name of a subcommand."""
@@ -134,10 +143,12 @@ class Group(TyperGroup):
         return super().parse_args(ctx, args)
 
 
-def _without_types(parameters: list[Any]) -> list[Any]:
+def _with_words(parameters: list[Any]) -> list[Any]:
     for parameter in parameters:
         if getattr(parameter, "is_flag", False):
             parameter.metavar = ""  # in place of <bool>
+        elif parameter.param_type_name == "argument" and not parameter.metavar:
+            parameter.metavar = parameter.name.upper()  # as the text of the help calls it
     return parameters
 
 
@@ -145,11 +156,13 @@ def _refuse_unknown(words: Sequence[str], known: Sequence[str]) -> None:
     """Refuse an option among the words that is not ``known``, with a close match."""
     from flipperctl.text.messages import closest, suggestion
 
-    for name in (word.partition("=")[0] for word in words if word.startswith("-")):
-        if name not in ("-", *known):
+    for word, following in pairwise([*words, ""]):
+        name, _, value = word.partition("=")
+        if word.startswith("-") and name not in ("-", *known):
             long = {option.removeprefix("--"): option for option in known if option[:2] == "--"}
             close = closest(name.lstrip("-"), long)
-            hint = called_here(name) or suggestion(*([long[close]] if close else []))
+            hint = called_here(name) and (called_here(value or following) or called_here(name))
+            hint = hint or suggestion(*([long[close]] if close else []))
             written = hint or "; policies are words, and settings key=value"
             raise RequestError(f"no such option: {name}{written}")
 

@@ -80,8 +80,10 @@ def terrain(
     name: Annotated[str, typer.Argument(help="A terrain plugin.")],
     overrides: options.Overrides = None,
     output: options.Picture = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the first profile.")] = 0,
-    draws: Annotated[int, typer.Option(min=1, max=100, help="Number of profiles to sample.")] = 4,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Seed of the first profile.")] = 0,
+    draws: Annotated[
+        int, typer.Option(metavar="N", min=1, max=100, help="Number of profiles to sample.")
+    ] = 4,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:

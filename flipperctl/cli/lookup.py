@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -112,18 +113,22 @@ def explain(
     # A word of the tables, a name or a setting; otherwise the nearest ones
     word = " ".join(words)
     commands = _commands(context)
-    meaning = {w.lower(): text for w, text in GLOSSARY.items()}.get(word.lower())
-    if meaning is None and (ours := here(word)):
-        meaning = f"A word of other tools. Here it is {ours}"
+    glossary = {w.lower(): text for w, text in GLOSSARY.items()}
+    meaning, lines, looked_up = glossary.get(word.lower()), tuple[str, ...](), word
+    if meaning is None and (foreign := here(word)):
+        meaning, lines = foreign.meaning, foreign.lines
+        if not meaning:  # a setting, or a word of ours
+            looked_up, lines = foreign.ours[0], ()
+            meaning = glossary.get(looked_up)
     named = [
         entry
         for groups in catalogue.KINDS.values()
         for group in groups
         if group != "run"
         for entry in catalogue.entries(group)
-        if entry.name == word
+        if entry.name == looked_up
     ]
-    keys = catalogue.keys_named(word)
+    keys = catalogue.keys_named(looked_up)
     hits = [] if meaning or named or keys else catalogue.search(word, commands)
     if not (meaning or named or keys or hits):
         nearest = close_match(word, [*catalogue.names(), *commands])
@@ -132,6 +137,7 @@ def explain(
     document = {
         "word": word,
         "meaning": meaning,
+        "lines": lines,
         "names": [_described(entry) for entry in named],
         "settings": list(_settings(keys)),
         "found": [asdict(hit) for hit in hits],
@@ -192,9 +198,7 @@ def _draw(file: Path) -> None:
 
 
 def _commands(context: typer.Context) -> dict[str, str]:
-    """Return the first sentence of each subcommand's help, by name."""
-    from flipperctl.cli.catalogue import first_sentence
-
+    """Return the help of each subcommand, by name."""
     # The help of each command is what explain searches, too.
     root: Any = context.find_root().command
     commands: dict[str, Any] = {}
@@ -204,7 +208,9 @@ def _commands(context: typer.Context) -> dict[str, str]:
             f"flipperctl {name} {inner}": subcommand for inner, subcommand in below.items()
         }
         commands |= {} if below else {f"flipperctl {name}": command}
-    return {name: first_sentence(command.help or "") for name, command in commands.items()}
+    return {
+        name: re.sub(r"\[/?\w*\]", "", command.help or "") for name, command in commands.items()
+    }
 
 
 def _described(entry: Entry) -> dict[str, Any]:

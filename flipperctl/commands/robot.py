@@ -123,7 +123,9 @@ def check(
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A film .gif; with --at a picture .png.")
     ] = None,
-    at: Annotated[float | None, typer.Option(min=0, help="Time of a picture in s.")] = None,
+    at: Annotated[
+        float | None, typer.Option(metavar="S", min=0, help="Time of a picture in s.")
+    ] = None,
     topic: CloudTopic = None,
     imu: ImuTopic = None,
     belts: BeltTopic = None,
@@ -227,11 +229,14 @@ def ground(
     fixed_frame: FixedFrame = None,
     base_frame: BaseFrame = None,
     reach: Annotated[
-        float, typer.Option(min=0.5, help="Distance in m beyond which points are left out.")
+        float,
+        typer.Option(metavar="X", min=0.5, help="Distance in m beyond which points are left out."),
     ] = 5.0,
     cell: Annotated[
         float,
-        typer.Option(min=0.005, max=0.2, help="One point is kept in a cube of this edge in m."),
+        typer.Option(
+            metavar="X", min=0.005, max=0.2, help="One point is kept in a cube of this edge in m."
+        ),
     ] = 0.02,
     as_json: options.AsJson = False,
 ) -> None:

@@ -78,6 +78,8 @@ def print_explained(document: Row) -> None:
     out = console()
     if document["meaning"]:
         print_lines(out, [f"{document['word']}: {document['meaning']}"])
+    for line in document["lines"]:
+        print_facts({"write": line}, out)
     for entry in document["names"]:
         _print_entry(entry)
     if len(document["settings"]) == 1:
@@ -90,6 +92,12 @@ def print_explained(document: Row) -> None:
     if document["found"]:
         title = f"found for {document['word']!r}"
         print_table(Table(_HIT_COLUMNS, [dict(hit) for hit in document["found"]], title), out)
+        print(f"More about one: {_more(document['found'][0])}")
+
+
+def _more(hit: Row) -> str:
+    name = str(hit["name"])
+    return f"{name} --help" if hit["kind"] == "command" else f"flipperctl explain {name}"
 
 
 def _print_entry(entry: Row) -> None:

@@ -18,6 +18,16 @@ _LONGEST = 600  # characters of a validator's message
 _ALIKE = 0.7
 """Smallest similarity of a misspelling: planner and none have 0.55, stair and stiar 0.8."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
+_FAULTS = {
+    "less_than": "is not allowed",
+    "greater_than": "is not allowed",
+    "literal_error": "is not allowed",
+    "float_": "is no number",
+    "finite_number": "is no finite number",
+    "int_": "is no whole number",
+    "bool_": "is neither true nor false",
+}
+"""Beginning of a validator's type of error → what is wrong with the value."""
 
 
 def counted(number: int, noun: str) -> str:
@@ -71,7 +81,7 @@ def broken_hint(name: str = "") -> str:
 def missing_name(name: str, known: Iterable[str]) -> str:
     """Return a hint about a plugin that is not found: its close match, or how one is loaded."""
     hint = broken_hint(name) or file_here(name) or _of_another_kind(name)
-    hint = hint or close_match(name, known) or broken_hint()
+    hint = hint or called_here(name) or close_match(name, known) or broken_hint()
     return hint or "; a plugin of your own is loaded by --plugins FILE"
 
 
@@ -122,6 +132,13 @@ def _allowed(model: type[BaseModel], field: str) -> str:
     return f"{bounds(model, field)} {'' if measured == '-' else measured}".rstrip()
 
 
+def _allowed_by(context: Mapping[str, Any]) -> str:
+    """Return what a validator allows, as it says it: bounds or values; empty for neither."""
+    parts = [f"{sign} {context[name]:g}" for name, sign in _BOUNDS.items() if name in context]
+    parts += [context["expected"]] if "expected" in context else []
+    return f" ({', '.join(parts)})" if parts else ""
+
+
 def unit(model: type[BaseModel], field: str) -> str:
     """Return the unit at the end of a field's description, as in ``m``; empty without one."""
     return _split(model, field)[1]
@@ -166,10 +183,16 @@ def explain(
             f"registered: {', '.join(known)}"
         )
 
-    # For all others the validator's message, with the bounds and the value that it leaves out
+    # A value out of bounds, or of a wrong type
     allowed = f" ({_allowed(owner, leaf)})" if owner and bounds(owner, leaf) else ""
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
+    for kind, fault in _FAULTS.items():
+        if first["type"].startswith(kind):
+            allowed = allowed or _allowed_by(first.get("ctx", {}))
+            return f"{location}: {_short(first['input'])} {fault}{allowed}{rest}"
+
+    # For all others the validator's message, with the bounds and the value that it leaves out
     message = " ".join(first["msg"].removeprefix("Value error, ")[:_LONGEST].split())
     of_model = first["type"] == "value_error" and isinstance(first["input"], Mapping)
     value = "" if of_model else f"; the value is {_short(first['input'])}"
@@ -192,13 +215,25 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
     place = f"{inside}={node['name']}" if "name" in node else inside
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
     hint = suggestion(*inner, quoted=False) if len(inner) <= 3 else ""
-    other = called_here(leaf) or file_here(leaf)
+    other = _of_siblings(inside, leaf) or called_here(leaf) or file_here(leaf)
     if inside and not known:
         return f"{key}: there is no such key; {place} has no settings here"
     return (
         f"{key}: there is no such key{hint or other or close_match(leaf, known)}; "
         f"known {'in ' + place if place else 'groups and keys'}: {', '.join(known)}"
     )
+
+
+def _of_siblings(kind: str, field: str) -> str:
+    """Return a hint at the plugins of a kind that have a setting; empty without, or for many."""
+    from flipperctl.api import registry
+
+    words = [f"{k}={name}" for (k, name), c in registry.items() if k == kind and _has(c, field)]
+    return f" ({' or '.join(words)} has it)" if 0 < len(words) <= 3 else ""
+
+
+def _has(cls: type[BaseModel], field: str) -> bool:
+    return field in cls.model_fields
 
 
 def _paths(node: Mapping[str, Any], before: str = "") -> Iterator[str]:

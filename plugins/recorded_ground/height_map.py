@@ -167,5 +167,5 @@ def cells_from_resolution(resolution: float | None, rows: int) -> FloatArray:
         ValueError: the ``resolution`` [m] is not stated.
     """
     if resolution is None:
-        raise ValueError("it does not state the size of its cells; set the resolution")
+        raise ValueError("it does not state the size of its cells [m]; set terrain.resolution")
     return np.array([[0.0, rows / resolution, 0.0], [1.0 / resolution, 0.0, 0.0]])

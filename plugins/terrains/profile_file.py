@@ -142,9 +142,11 @@ class ProfileFile(Terrain):
         # Only a .csv may be a profile, which needs no line over the ground.
         stated = [self.start is not None, self.end is not None]
         if not all(stated) and (suffix != ".csv" or any(stated)):
+            cells = suffix == ".npy" and self.resolution is None
             raise ValueError(
                 f"a {suffix} file needs start and end, the line over the ground in metres: "
                 "'terrain.start=[x,y]' 'terrain.end=[x,y]'"
+                f"{', and terrain.resolution, the size of its cells' if cells else ''}"
             )
         if suffix != ".pcd" and self.viewpoint is not None:
             raise ValueError(f"viewpoint belongs to .pcd files; path is {self.path}")

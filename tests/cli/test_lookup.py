@@ -12,7 +12,8 @@ from rich.cells import cell_len
 from flipperctl.api import registry
 from flipperctl.cli.catalogue import KINDS, keys_named
 from flipperctl.config import TrainConfig
-from tests.cli.call import call, refused
+from flipperctl.text.elsewhere import WORDS
+from tests.cli.call import COMMANDS, call, refused
 
 
 def document(*words: str, cwd: Path) -> Any:
@@ -114,3 +115,22 @@ def test_a_contact_sheet_of_the_terrains(tmp_path: Path) -> None:
 
 def test_a_word_of_another_tool_leads_to_ours_below_a_section_too(tmp_path: Path) -> None:
     assert "(here it is agent.learning_rate)" in refused("explain", "agent.lr", cwd=tmp_path)
+
+
+def test_lines_for_words_of_other_tools_have_commands_and_settings() -> None:
+    for line in {line for word in WORDS.values() if word.meaning for line in word.lines}:
+        program, command, *words = line.split()
+        keys = [word.partition("=")[0] for word in words if re.match(r"[a-z.]+=", word)]
+        assert program != "flipperctl" or command in COMMANDS
+        assert [key for key in keys if not keys_named(key)] == []
+
+
+def test_a_word_of_another_tool_is_explained_with_what_to_type(tmp_path: Path) -> None:
+    sac = document("explain", "sac", cwd=tmp_path)
+    assert sac["meaning"].startswith("Soft actor-critic")
+    assert sac["lines"] == ["flipperctl train agent=sb3 agent.algorithm=sac actions=rates"]
+    (found,) = document("explain", "γ", cwd=tmp_path)["settings"][:1]
+    assert found["key"] == "agent.gamma"
+    assert document("explain", "theta_R", cwd=tmp_path)["meaning"].startswith("How much the robot")
+    hits = document("explain", "onnx", cwd=tmp_path)["found"]  # of a command's help
+    assert hits[0]["summary"].startswith("Write a policy for the robot, onnx;")

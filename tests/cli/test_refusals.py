@@ -51,7 +51,14 @@ eval --controller level train.decisions=5 \
 train collector.max_lag=3 -> collector=local has no settings here
 inspect run nope -> nope holds no metrics.csv; there is no such folder
 train 'terrain=step seed=3' -> 'terrain=step seed=3': Hydra cannot read this override
-train agent.gamma=1.5 -> agent.gamma: Input should be less than 1 | the value is 1.5
+train agent.gamma=1.5 -> agent.gamma: 1.5 is not allowed (≥ 0, < 1)
+train robot.angle_step=15deg -> '15deg' is no number (> 0, ≤ 1.5708 rad)
+train train.best_by=luck -> 'luck' is not allowed ('success', 'return' or 'last')
+train --algo sac -> no such option: --algo (here it is agent=sb3 agent.algorithm=sac actions=rates)
+train agent=sac -> 'sac' (here it is agent=sb3 agent.algorithm=sac actions=rates)
+train agent.algorithm=sac -> agent.algorithm: there is no such key (agent=sb3 has it)
+list terrains --pictures -> --pictures FILE: FILE is missing; see flipperctl list --help
+robot identify -> Missing argument 'BAG'; see flipperctl robot identify --help
 train seed=1,2 -> seed=1,2: several values | add -m
 eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher

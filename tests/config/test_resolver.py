@@ -44,7 +44,7 @@ def logged(overrides: dict[str, Any]) -> TrainConfig:
             lambda: with_overrides(STAIR, {"terrain.rise.x": 1}),
             r"terrain\.rise\.x: rise is a value, not a section",
         ),
-        (lambda: parse(Teacher, {"temperature": 1e-323}), "greater than or equal to 0.000001"),
+        (lambda: parse(Teacher, {"temperature": 1e-323}), r"is not allowed \(≥ 1e-06, ≤ 1000 s\)"),
         (lambda: logged({"logger": "wandbb"}), r"logger\.wandbb: .*did you mean 'wandb'"),
         (
             lambda: logged({"logger.wandb.project": "x"}),

@@ -126,7 +126,7 @@ def test_degrees_and_an_unknown_frame_are_refused(tmp_path: Path) -> None:
         profile(file, **LINE)
     with pytest.warns(rasterio.errors.NotGeoreferencedWarning):
         write_tiff(tmp_path / "bare.tif", np.zeros((50, 50)), transform=Affine.identity())
-    with pytest.raises(TerrainError, match="set the resolution"):
+    with pytest.raises(TerrainError, match=r"set terrain\.resolution"):
         profile(tmp_path / "bare.tif", **LINE)
     assert profile(tmp_path / "bare.tif", resolution=0.1, **LINE).end == pytest.approx(2.0)
 

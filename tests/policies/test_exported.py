@@ -30,7 +30,7 @@ def test_the_file_holds_its_terrain_robot_and_layout(tmp_path: Path) -> None:
         PolicySource(checkpoint=path).build(EnvConfig(terrain="flat", perception={"bins": 11}))
     stair = {"name": "stair", "rise": -1}
     linear.write(path, terrain="stair", terrain_config=stair)
-    with pytest.raises(PolicyError, match=r"terrain\.rise: .*greater than 0"):
+    with pytest.raises(PolicyError, match=r"terrain\.rise: -1 is not allowed"):
         exported_config(path)
 
 

@@ -101,7 +101,7 @@ def test_a_sampled_ground_varies() -> None:
 @pytest.mark.parametrize(
     ("height", "words"),
     [
-        (-5.0, ["at returned settings that are not allowed: height", "the value is -5"]),
+        (-5.0, ["at returned settings that are not allowed: height", "-5.0 is not allowed"]),
         ("0.2", ["at returned Mine(height='0.2'); its settings, validated, are Mine(height=0.2)"]),
         (0.3, ["at(1) has other ground than the terrain itself"]),
     ],

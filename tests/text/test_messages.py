@@ -9,7 +9,7 @@ from flipperctl.api import registry
 from flipperctl.api.plugin import Plugin
 from flipperctl.errors import MissingExtraError, missing_package
 from flipperctl.plugging.guard import naming
-from flipperctl.text.elsewhere import here
+from flipperctl.text.elsewhere import called_here
 from flipperctl.text.messages import close_match, closest, explain_unknown_key
 from tests.cli.call import COMMANDS
 
@@ -53,16 +53,17 @@ class Plug(Plugin):
 
 
 @pytest.mark.parametrize(
-    ("typed", "ours"),
+    ("typed", "hint"),
     [
-        ("lr", "agent.learning_rate"),
-        ("--env-id", "terrain=NAME"),
-        ("λ1", "rewards.flipper.lambda_1"),
-        ("gamma", None),
+        ("lr", " (here it is agent.learning_rate)"),
+        ("--env-id", " (here it is terrain=NAME)"),
+        ("λ1", " (here it is rewards.flipper.lambda_1)"),
+        ("PPO", " (here it is agent=policy_gradient, or agent=sb3 agent.algorithm=ppo)"),
+        ("gamma", ""),
     ],
 )
-def test_words_of_other_tools_lead_to_ours(typed: str, ours: str | None) -> None:
-    assert here(typed) == ours
+def test_words_of_other_tools_lead_to_ours(typed: str, hint: str) -> None:
+    assert called_here(typed) == hint
 
 
 def test_a_plugin_in_the_current_folder_is_named(
