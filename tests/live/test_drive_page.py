@@ -249,18 +249,22 @@ def test_on_a_phone_held_upright_every_button_is_wide_enough_and_stop_comes_firs
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (800, 1000), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (800, 1000), (390, 844), (844, 390)])
 def test_nothing_is_cut_or_lies_over_something_else(tab: Tab, width: int, height: int) -> None:
     tab.page.set_viewport_size({"width": width, "height": height})
-    tab.state(phase="ready")
-    assert crowded(tab.page) == []
+    for phase, outcome in (("ready", None), ("driving", None), ("held", None), ("over", "reached")):
+        tab.state(phase=phase, outcome=outcome, risk=0.75)
+        assert crowded(tab.page) == []
+        assert tab.page.evaluate("$('phase').clientHeight") < 30  # one line
 
 
 def test_keys_before_the_beginning_say_what_to_do(tab: Tab) -> None:
     tab.state(phase="ready")
     tab.page.keyboard.press("ArrowUp")
     assert tab.hands() == (0, 0, 0, 0, 0)
-    assert tab.page.inner_text("#phase") == "Not begun yet: press Enter or Begin first"
+    assert tab.page.inner_text("#phase") == "Not begun yet: press Begin or Enter"
+    tab.state(phase="driving", belts=0.0)
+    assert tab.page.inner_text("#phase") == "Standing: hold Forward or ↑"
     tab.state(phase="driving")
     assert tab.page.inner_text("#phase") == "Driving"
 
