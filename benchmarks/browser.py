@@ -48,7 +48,7 @@ def chromium(*, draws: bool = True) -> Iterator[Any]:
             browser.close()
 
 
-_CROWDED = """() => {
+_CROWDED = r"""() => {
   const names = "button, input, canvas, img, output, dt, dd, td, th, h1, h2, h3, label, span, p, li, a, b, text";
   const problems = [], label = (e) => `${e.tagName.toLowerCase()} ${e.id} "${e.textContent.trim().slice(0, 40)}"`;
   const boxes = [...document.querySelectorAll(names)].filter((e) => {
@@ -64,6 +64,15 @@ _CROWDED = """() => {
     if (style.overflowX !== "visible" && style.display !== "inline" && e.scrollWidth > e.clientWidth + 1 && !e.matches("input"))
       problems.push("cut inside: " + label(e));
   }
+  for (const e of boxes) for (const node of e.matches("pre, pre *") ? [] : e.childNodes) {
+    if (node.nodeType !== 3) continue;
+    for (const word of node.data.matchAll(/[\p{L}\d_]+/gu)) {
+      const range = document.createRange();
+      range.setStart(node, word.index); range.setEnd(node, word.index + word[0].length);
+      if (word[0].length < 25 && new Set([...range.getClientRects()].map((r) => r.top)).size > 1)
+        problems.push(`broken within ${word[0]}: ${label(e)}`);
+    }
+  }
   boxes.forEach((a, i) => boxes.slice(i + 1).forEach((b) => {
     if (a.contains(b) || b.contains(a) || a.matches("canvas, img") || b.matches("canvas, img")) return;
     const p = a.getBoundingClientRect(), q = b.getBoundingClientRect();
@@ -75,6 +84,6 @@ _CROWDED = """() => {
 
 
 def crowded(tab: Any) -> list[str]:
-    """Return what is cut at the sides of a page, or lies over something else."""
+    """Return what is cut at the sides of a page, lies over something else, or breaks in a word."""
     problems: list[str] = tab.evaluate(_CROWDED)
     return problems

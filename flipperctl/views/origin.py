@@ -5,15 +5,15 @@ In: a folder that ``eval --output`` wrote. Out: the report's last section.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
 from flipperctl.evaluation import store
-from flipperctl.evaluation.names import names as short_names
 from flipperctl.process.session import command
 from flipperctl.text.show import Column, Table, html
-from flipperctl.views.summary import Document, named
+from flipperctl.views.summary import Document, named, shown_names
 
 
 def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
@@ -37,10 +37,15 @@ def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
     if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):
         facts["commit"] = " and ".join(commits)
     # Policies by the digest of their weights or settings, and scenes with their conditions
-    called = short_names([header["controller"] for header in headers])
+    methods = {s["controller"]: s["method"] for s in document["scenes"] if s.get("method")}
+    labels = [methods.get(header["controller"], header["controller"]) for header in headers]
+    called = shown_names(document)
     order = {policy: place for place, policy in enumerate(marks)}
     policies = sorted(
-        {(called[h["controller"]], h["training_seed"], h["policy"]) for h in headers},
+        {
+            (called.get(label, label), header["training_seed"], header["policy"])
+            for label, header in zip(labels, headers, strict=True)
+        },
         key=lambda policy: (order.get(policy[0], len(order)), policy[1] or 0, policy[2]),
     )
     played = Table(
@@ -59,8 +64,7 @@ def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
             Column(key, heading, named=True)
             for key, heading in (
                 ("scene", "scene"),
-                ("conditions", "conditions"),
-                ("hash", "their hash"),
+                ("conditions", "conditions, hash"),
                 ("engine", "engine"),
                 ("seed", "seed"),
                 ("episodes", "episodes"),
@@ -70,8 +74,7 @@ def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
             {
                 (name, scene["seed"]): {
                     "scene": name,
-                    "conditions": scene["conditions"]["name"],
-                    "hash": scene["conditions"]["hash"],
+                    "conditions": f"{scene['conditions']['name']} {scene['conditions']['hash']}",
                     "engine": scene["conditions"]["sim"]["name"],
                     "seed": str(scene["seed"]),
                     "episodes": str(scene["episodes"]),
@@ -90,7 +93,7 @@ def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
     )
     return "\n".join(
         [
-            *(f"<pre>{escape(text)}</pre>" for text in commands),
+            *map(typed, commands),
             f"<dl>{listed}</dl>",
             html(played, marks),
             html(places, {}),
@@ -98,3 +101,9 @@ def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
             "every policy meets the same ground, start and physics.</p>",
         ]
     )
+
+
+def typed(line: str) -> str:
+    """Return a command as HTML, which breaks before an option and not within."""
+    text = re.sub(r"(?<= )--?[a-z][\w-]*", r'<span class="option">\g<0></span>', escape(line))
+    return f"<pre>{text}</pre>"

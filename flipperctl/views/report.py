@@ -27,6 +27,7 @@ from flipperctl.process.session import command
 from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace, read
 from flipperctl.text.files import OutputKind, write_bytes
+from flipperctl.text.messages import counted
 from flipperctl.text.show import html
 from flipperctl.views import evaluation
 from flipperctl.views.findings import (
@@ -39,7 +40,7 @@ from flipperctl.views.findings import (
     rank,
     table_rows,
 )
-from flipperctl.views.origin import origin
+from flipperctl.views.origin import origin, typed
 from flipperctl.views.published import published
 from flipperctl.views.summary import Document
 
@@ -329,7 +330,7 @@ def _failures(
     for at, trace in failed[:MOST_FAILURES]:
         about = f"{trace.policy} on {trace.scene}, episode {trace.episode}: {trace.outcome}"
         again = records.get(trace.digest)
-        shown = f"<pre>{escape(command('replay', again))}</pre>" if again else ""
+        shown = typed(command("replay", again)) if again else ""
         items.append(
             f'<li class="card"><svg class="poster" role="img" data-trace="{at}" '
             f'aria-label="{escape(about)}, its last 6 s"></svg>'
@@ -339,7 +340,7 @@ def _failures(
             f'{trace.time[-1]:.1f} s</p><button type="button" data-trace="{at}">Play</button>'
             f"{shown}</li>"
         )
-    more = f"{number} episodes failed; {len(items)} are shown, with the last 6 s of each."
+    more = f"{counted(number, 'episode')} failed; {len(items)} shown, with the last 6 s of each."
     return _section(
         "Failures",
         f'<p class="note">{more} The command shows the episode again, bit for bit.</p>'

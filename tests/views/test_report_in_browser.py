@@ -1,5 +1,6 @@
 """The report in a real browser without a window: what it shows, its player, light, dark, print."""
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import write as write_traces
 from flipperctl.text.files import write_csv, write_json
 from flipperctl.views import evaluation, report
+from tests.cli.call import call
 from tests.evaluation.samples import result, sample
 from tests.figures.test_figures import trace
 
@@ -73,6 +75,17 @@ def test_nothing_is_cut_or_lies_over_something_else(opened: Callable[..., Any], 
     page = opened(width)
     assert page.locator("figure svg:visible").count() == 2
     assert chromium.crowded(page) == []
+
+
+def test_hashes_break_and_names_do_not(browser: Any, tmp_path: Path) -> None:
+    words = "eval", "okada", "geometric", "terrain=flat", "--episodes", "1", "--output", "results"
+    assert call(*words, cwd=tmp_path).code == 0
+    page = browser.new_page(viewport={"width": 390, "height": 800})
+    page.goto((tmp_path / "results" / report.FILE).as_uri())
+    digest = page.locator(".origin td", has_text=re.compile("^[0-9a-f]{64}$"))
+    assert digest.count() == 3
+    assert chromium.crowded(page) == []
+    page.close()
 
 
 def clock(page: Any) -> str:
