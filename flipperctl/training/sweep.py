@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.checkpoint.results import hold, holds_run, is_dead, names, summary_of
-from flipperctl.config.words import literal_override
+from flipperctl.config.words import key_of
 from flipperctl.env.metrics import with_both_names
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError, RunHeldError
 from flipperctl.process.session import command, interrupts
@@ -227,14 +227,10 @@ class Sweep:
 
     def command(self) -> str:
         """Return the command that continues the sweep, quoted for the shell."""
-        words = [word for word in self._words if word != "--multirun"]
-        if not any(word.startswith(("hydra.sweep.dir=", "--output")) for word in words):
-            inside = self.folder.is_relative_to(Path.cwd())
-            short = os.path.relpath(self.folder) if inside else str(self.folder)
-            plain = re.fullmatch(r"[\w./-]+", short) is not None
-            key = "hydra.sweep.dir"
-            words.append(f"{key}={short}" if plain else literal_override(key, short))
-        return command("train", "-m", *words)
+        typed = [w for w in self._words if w != "--multirun" and key_of(w) != "hydra.sweep.dir"]
+        inside = self.folder.is_relative_to(Path.cwd())
+        short = os.path.relpath(self.folder) if inside else str(self.folder)
+        return command("train", "-m", *typed, "--output", short)
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
