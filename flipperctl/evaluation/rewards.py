@@ -235,7 +235,7 @@ def decide(scenes: list[dict[str, Any]]) -> list[dict[str, Any]]:
         ]
     )
     for contradiction, p in zip(contradictions, corrected, strict=False):
-        contradiction["p_holm"] = p
+        contradiction |= {"p_holm": p, "holm_of": tests}
     # Only a contradiction beyond chance remains.
     for ranking in rankings:
         significant = [

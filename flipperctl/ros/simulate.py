@@ -435,6 +435,7 @@ def _row(
         "episode": episode,
         "outcome": str(ending["outcome"]),
         "pitch_variation": ending["pitch_variation_decisions"],
+        "pitch_variation_100hz": ending["pitch_variation_100hz"],
         "seconds": state.time,
         "wall": round(wall, 2),
         "behind": round(numbers.behind, 4),

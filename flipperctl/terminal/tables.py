@@ -240,7 +240,7 @@ def print_bag(bag: dict[str, Any]) -> None:
 _SIMULATED = (
     Column("episode", "episode", named=True),
     Column("outcome", "outcome"),
-    Column("pitch_variation", "pitch variation [rad]", 2),
+    Column("pitch_variation_100hz", "pitch variation [rad]", 2),
     Column("seconds", "time [s]", 1),
     Column("median", "cloud to command [ms]", 0),
     Column("most", "99 % [ms]", 0),

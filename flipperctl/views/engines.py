@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from flipperctl.evaluation.engines import comparisons as steps_of
@@ -84,7 +85,7 @@ _COLUMNS = (
     Column("terrain", "scene", named=True),
     Column("policy", "policy", named=True),
     Column("step", "step", named=True),
-    Column("success", "Δ success (p, Holm)"),
+    Column("success", "Δ success (p, Holm of {of})"),
     Column("variation", "Δ pitch variation [rad]", sign="+"),
     Column("kept", "kept"),
     Column("causes", "failures by cause", named=True),
@@ -115,7 +116,11 @@ def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
                 }
             )
     if rows:
-        yield Table(_COLUMNS, rows, "From engine to engine, same episodes")
+        # Their p-values are corrected together, those of each part of the episodes included.
+        gaps = [step["gap"] for c in comparisons for step in (c, c.get("sensed")) if step]
+        of = sum(1 + len(gap.get("parts", ())) for gap in gaps)
+        columns = [replace(column, heading=column.heading.format(of=of)) for column in _COLUMNS]
+        yield Table(columns, rows, "From engine to engine, same episodes")
 
 
 def failure_lines(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -97,7 +97,8 @@ def verdict_lines(scenes: Sequence[Document]) -> Iterator[str]:
                 yield (
                     f"{ranking['rewards']} on {name}: the reward of {paid} is {gain} "
                     f"larger than that of {calm}, but its pitch variation is {variation} "
-                    f"rad larger (p {rival['p_holm']:.2g}); the term {term} contributes {part:+.2f}"
+                    f"rad larger (p {rival['p_holm']:.2g}, Holm of {rival['holm_of']}); "
+                    f"the term {term} contributes {part:+.2f}"
                 )
     for label, by_verdict in verdicts.items():
         parts = [f"{words[v]} {', '.join(on)}" for v in words if (on := by_verdict.get(v))]
