@@ -58,6 +58,15 @@ def _typeset(app: Sphinx, page: str, template: str, context: dict[str, str], *_:
         re.sub(r"(?<=[ >])--?[a-z][\w-]*", r'<span class="option">\g<0></span>', p)
         for p in parts[1::2]
     ]
+    # A long key breaks behind a point or an underscore.
+    parts[::2] = [
+        re.sub(
+            r'(?<=<span class="pre">)[\w.]{16,}(?=</span>)',
+            lambda key: re.sub(r"(?<=[._])", "<wbr>", key[0]),
+            p,
+        )
+        for p in parts[::2]
+    ]
     context["body"] = "".join(parts).replace("θ̂_R", "θ̂<sub>R</sub>")
 
 

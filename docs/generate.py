@@ -31,6 +31,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.export.metadata import describe_observation
 from flipperctl.plugging import plugins
 from flipperctl.requests import compose
+from flipperctl.text.elsewhere import WORDS, Foreign
 
 HEADINGS: Mapping[str, str] = {
     "terrain": "Terrains",
@@ -162,8 +163,21 @@ def glossary() -> str:
     return "\n".join(_rows(("word", "meaning"), GLOSSARY.items()))
 
 
+def elsewhere() -> str:
+    """Return a table of the words of other tools, with what is typed here."""
+    alike: dict[Foreign, list[str]] = {}
+    for word, foreign in WORDS.items():
+        alike.setdefault(foreign, []).append(word)
+    rows = (
+        (", ".join(words), foreign.meaning, " or ".join(f"`{text}`" for text in foreign.ours))
+        for foreign, words in alike.items()
+    )
+    return "\n".join(_rows(("there", "meaning", "here"), rows))
+
+
 TEXTS: Mapping[str, Callable[..., str]] = {
     "glossary": glossary,
+    "elsewhere": elsewhere,
     "settings": settings,
     "commands": commands,
     "api": api,
