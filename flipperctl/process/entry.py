@@ -13,6 +13,7 @@ import re
 import signal
 import sys
 from collections.abc import Callable
+from types import FrameType
 from typing import NoReturn, TextIO
 
 from flipperctl.errors import (
@@ -65,6 +66,10 @@ def print_error(text: str) -> None:
 
 def _code_of(program: Callable[[], int]) -> int:
     """Return the program's exit code; print the error that ended it."""
+    global _interrupted  # as below
+    _interrupted = False
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
     try:
         return program()
     except SystemExit:
@@ -74,7 +79,7 @@ def _code_of(program: Callable[[], int]) -> int:
     except BaseException as error:
         # A library may have made an error of its own of Ctrl-C, as while it was imported.
         failed = isinstance(error, FlipperctlError) and not isinstance(error, RequestError)
-        if not failed and _after_interrupt(error):
+        if isinstance(error, KeyboardInterrupt) or (_interrupted and not failed):
             print_error("interrupted")
             return InterruptedRunError.exit_code
         if os.environ.get(DEBUG) == "1":
@@ -84,11 +89,15 @@ def _code_of(program: Callable[[], int]) -> int:
         return code
 
 
-def _after_interrupt(error: BaseException | None) -> bool:
-    """Return whether Ctrl-C caused the error, which a library may have replaced."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
+_interrupted = False
+"""Whether Ctrl-C has interrupted this process."""
+
+
+def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    """Raise KeyboardInterrupt, of which a library may make an error of its own."""
+    global _interrupted  # signals are the process's
+    _interrupted = True
+    raise KeyboardInterrupt
 
 
 def _described(error: BaseException) -> tuple[str, int]:

@@ -76,7 +76,7 @@ def interrupts(
     def ask(number: int, frame: FrameType | None) -> None:
         nonlocal stopping, urgent
         if urgent and number in _URGENT:
-            raise KeyboardInterrupt
+            entry.interrupt(number, frame)
         urgent = urgent or number in _URGENT
         if stopping:
             return

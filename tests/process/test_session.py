@@ -95,11 +95,12 @@ def test_ctrl_c_in_another_program_is_one_line(program: str, tmp_path: Path) -> 
 def test_an_error_that_a_library_made_of_ctrl_c_is_ctrl_c(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    handler = signal.getsignal(signal.SIGINT)
+
     def library() -> int:
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as interrupt:
-            raise ImportError("this package is broken") from interrupt
+        with contextlib.suppress(KeyboardInterrupt):  # as a library in Rust does
+            signal.raise_signal(signal.SIGINT)
+        raise ImportError("this package is broken")
 
     def request() -> int:
         try:
@@ -108,8 +109,11 @@ def test_an_error_that_a_library_made_of_ctrl_c_is_ctrl_c(
             raise ConfigError("not understood") from error
 
     for program in (library, request):
-        with pytest.raises(SystemExit) as left:
-            entry.run(program)
+        try:
+            with pytest.raises(SystemExit) as left:
+                entry.run(program)
+        finally:
+            signal.signal(signal.SIGINT, handler)
         assert left.value.code == 130
         assert capsys.readouterr().err == "error: interrupted\n"
 
