@@ -126,7 +126,7 @@ def explain(
         for group in groups
         if group != "run"
         for entry in catalogue.entries(group)
-        if entry.name == looked_up
+        if looked_up in (entry.name, f"{entry.group}={entry.name}")
     ]
     keys = catalogue.keys_named(looked_up)
     hits = [] if meaning or named or keys else catalogue.search(word, commands)

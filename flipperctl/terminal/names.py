@@ -80,8 +80,12 @@ def print_explained(document: Row) -> None:
         print_lines(out, [f"{document['word']}: {document['meaning']}"])
     for line in document["lines"]:
         print_facts({"write": line}, out)
+    several = len(document["names"]) > 1
     for entry in document["names"]:
-        _print_entry(entry)
+        _print_entry(entry, brief=several)
+    if several:
+        last = document["names"][-1]
+        print(f"More about one: flipperctl explain {last['group']}={last['name']}")
     if len(document["settings"]) == 1:
         _print_setting(document["settings"][0])
     elif settings := document["settings"]:
@@ -100,11 +104,15 @@ def _more(hit: Row) -> str:
     return f"{name} --help" if hit["kind"] == "command" else f"flipperctl explain {name}"
 
 
-def _print_entry(entry: Row) -> None:
-    """Print a plugin with its settings, or a preset with what it sets."""
+def _print_entry(entry: Row, *, brief: bool) -> None:
+    """Print a plugin with its settings, or a preset with what it sets; ``brief``: what it is."""
     # What it is, how it is written, and what it sets
     out, plugin = console(), entry.get("plugin")
-    print_lines(out, [f"{entry['name']} ({entry['group']}): {entry['about'] or entry['summary']}"])
+    about = entry["summary"] if brief else entry["about"] or entry["summary"]
+    print_lines(out, [f"{entry['name']} ({entry['group']}): {about}"])
+    if brief:
+        print_facts({"write": entry["command"]}, out)
+        return
     print_facts(
         {"write": entry["command"], **({"source": plugin["source"]} if plugin else {})}, out
     )

@@ -134,3 +134,11 @@ def test_a_word_of_another_tool_is_explained_with_what_to_type(tmp_path: Path) -
     assert document("explain", "theta_R", cwd=tmp_path)["meaning"].startswith("How much the robot")
     hits = document("explain", "onnx", cwd=tmp_path)["found"]  # of a command's help
     assert hits[0]["summary"].startswith("Write a policy for the robot, onnx;")
+
+
+def test_a_name_of_several_kinds_is_brief_and_one_kind_tells_all(tmp_path: Path) -> None:
+    said = call("explain", "generalist", cwd=tmp_path).out
+    assert said.startswith("generalist: The shipped policy")
+    assert "More about one: flipperctl explain suite=generalist" in said
+    assert "teacher.final_updates" not in said
+    assert "teacher.final_updates" in call("explain", "experiment=generalist", cwd=tmp_path).out
