@@ -15,3 +15,13 @@ function embedScene(frame, loaded) {
   frame.src = `/scene${SOFTWARE ? `?fixedDpr=${window.devicePixelRatio || 1}` : ""}`;
 }
 function sceneMoves(frame, moves) { frame.classList.toggle("coarse", SOFTWARE && moves); }
+// What the marks of the scene are
+const MARKS = [
+  ["finish", "finish"], ["points", "points of the ground", "dot"], ["mean", "mean height of each bin"],
+  ["highest", "highest point of each bin"], ["ray", "candidate angle of the front flippers"],
+  ["plan", "path that a search plans"], ["map", "map of the lidar", "dot"],
+];
+function markLegend(marks) {
+  return marks.map(([name, text, dot]) =>
+    `<i class="mark ${dot ?? ""} ${name}" style="--hue: var(--${name})"></i><span class="${name}">${text}</span>`).join("");
+}

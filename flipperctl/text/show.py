@@ -364,7 +364,7 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
         ]
         if row is group[-1] and any(scales):
             ends = [
-                with_minus(f"<span>{end[0]:.3g}</span><span>{end[1]:.3g}</span>") if end else ""
+                with_minus(f"<span>{end[0]:z.2f}</span><span>{end[1]:z.2f}</span>") if end else ""
                 for end in scales
             ]
             axes = "".join(f"<td>{text and f'<div class=ends>{text}</div>'}</td>" for text in ends)

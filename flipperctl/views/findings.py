@@ -43,8 +43,10 @@ def findings(evaluated: Document, gaps: Gaps = MappingProxyType({})) -> Iterator
         (difference["scene"], difference["policy"], difference["against"]): difference["variation"]
         for difference in evaluation.difference_rows(evaluated)
     }
-    known = {**gaps, **stored}
-    further = {at: gap for at, gap in gaps.items() if at not in stored}
+    # What the table has, decides, in whichever direction.
+    told = {*stored, *((scene, other, policy) for scene, policy, other in stored)}
+    further = {at: gap for at, gap in gaps.items() if at not in told}
+    known = {**further, **stored}
     yield from (*_best(rows, known), *_compared(further), *_losses(rows, known), *_failed(rows))
 
 

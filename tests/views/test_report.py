@@ -73,6 +73,15 @@ def test_the_best_is_told_by_the_same_difference_as_in_the_table(tmp_path: Path)
     assert "-0.1" not in unescape(sub("<[^>]+>", "", findall(r"<table>.*?</table>", page)[0]))
 
 
+def test_a_failure_of_another_hides_no_difference_that_the_table_shows(tmp_path: Path) -> None:
+    # Where failures count, the difference is unclear; on what both reached, it is clear.
+    mine = [0.5, 1.0, 1.5, 0.6, 1.1, 1.6]
+    theirs = rows([*(v + 0.1 for v in mine[:-1]), 2.0], failed=1)
+    told = words(report.page(folder(tmp_path / "a", rows(mine), {"geometric": theirs})))
+    assert "not clearly better" not in told
+    assert "On step, mine (success 100 %, pitch variation 1.05 rad) is best" in told
+
+
 def test_a_page_of_an_interrupted_evaluation_says_how_far_it_went(tmp_path: Path) -> None:
     path = folder(tmp_path / "a", rows([0.5, 0.6, 0.55] * 2))
     assert "interrupted:" not in report.page(path)
