@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from flipperctl.config import EvalConfig
 from flipperctl.errors import FlipperctlError, InterruptedRunError
 from flipperctl.evaluation.failure_causes import causes
-from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.plan import RULES, Entry, Plan
 from flipperctl.evaluation.play import NOT_A_POLICYS, Player, Progress, no_progress
 from flipperctl.evaluation.rows import Episodes, reached
 from flipperctl.evaluation.store import EpisodeStore
@@ -21,6 +21,12 @@ from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 
 _SHOWN = 12  # largest number of scenes that the sentence on an interruption names
+
+
+def _rank(played: Played) -> int:
+    """Return the place among the usual baselines; a policy that is none comes behind them."""
+    name = played.entry.method
+    return RULES.index(name) if name in RULES else len(RULES)
 
 
 @dataclass(frozen=True)
@@ -87,12 +93,16 @@ class Result:
         return [item for item in self.played if methods or not item.entry.is_baseline]
 
     def baselines(self, played: Played) -> list[Played]:
-        """Return the baselines on the episodes of a policy, of its rewards if there are such."""
+        """Return the baselines on the episodes of a policy, of its rewards if there are such.
+
+        A rule that is usual as a baseline is one where it is named, too, unless none are wanted.
+        """
         by_label: dict[str, Played] = {}
         if played.entry.is_baseline or played.entry.stored:
             return []
         for other in self.played:
-            if other.entry.is_baseline and other.entry.ground == played.entry.ground:
+            named = self.plan.with_best_known and _rank(other) < _rank(played)
+            if (other.entry.is_baseline or named) and other.entry.ground == played.entry.ground:
                 same = other.entry.config.rewards == played.entry.config.rewards
                 if other.entry.label not in by_label or same:
                     by_label[other.entry.label] = other

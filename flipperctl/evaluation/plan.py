@@ -114,7 +114,7 @@ class Plan:
     title: str = ""
     """What is evaluated, as the user called it."""
     with_best_known: bool = False
-    """Whether a row of the best stored policy stands beside them, where it is better than all."""
+    """Whether baselines and the best stored policy, if it is better than all, stand beside them."""
 
     @classmethod
     def of_one(
