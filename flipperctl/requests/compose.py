@@ -297,10 +297,10 @@ def _of_others(
         return
     for request in choices:
         group, name = request.key, request.value
-        fields = getattr(registry.get((group, str(name))), "model_fields", None)
-        if fields is None:
+        plugin = registry.get((group, str(name)))
+        if plugin is None or group in LISTS:  # several of a list stand beside each other
             continue
-        if unknown := {*plain[group]} - {"name", *fields}:
+        if unknown := {*plain[group]} - {"name", *plugin.model_fields}:
             others = tuple(other.text for other in choices if other is not request)
             before = registry[group, _composed(primary, others, hydra=False)[group]["name"]]
             yield f"{group}={name}", [f"{group}.{k}" for k in before.model_fields if k in unknown]

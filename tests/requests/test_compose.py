@@ -189,6 +189,8 @@ def test_settings_of_an_experiment_for_another_plugin_are_left_out(
     (config,) = compose_train(["experiment=refined", "agent=d3qn"])
     assert config.agent.plugin_name == "d3qn"
     assert "agent=d3qn has not, left out: agent.anchor" in capsys.readouterr().err
+    # Of a list, several plugins have settings.
+    assert compose_train(["experiment=refined", "logger=tensorboard"])[0].logger
     # What is typed is refused as ever.
     with pytest.raises(ConfigError, match=r"agent\.anchor: there is no such key"):
         compose_train(["experiment=refined", "agent=d3qn", "agent.anchor=0.1"])
