@@ -3,8 +3,8 @@
 In: a file of scenes, and the episodes of a method's policies and of the rules on them. Out: a
 result file that others can verify. A scene's score is the mean cost of the policy's episodes as a
 fraction of the rule's: the pitch variation of a crossing, on some tracks with the roll's, or the
-scene's price for a failure. No other method has a part in it. The seeds of an
-edition follow from its salt.
+scene's price for a failure. No other method has a part in it. The seeds of an edition follow from
+its salt.
 """
 
 from __future__ import annotations
@@ -255,7 +255,7 @@ class BenchmarkResult(_Frozen):
         whole = wanted == [(part.track, part.scene) for part in self.scenes]
         for part in self.scenes if whole else ():
             track, played = benchmark.tracks[part.track], (*part.policies, part.rule)
-            sizes = [one.sizes(rolls=track.rolls) for one in played]
+            sizes = [episodes.sizes(rolls=track.rolls) for episodes in played]
             whole &= sizes == [{track.episodes}] * (len(self.policies) + 1)
         if not whole:
             raise RequestError(f"{where}: it lacks some of the episodes of its tracks")

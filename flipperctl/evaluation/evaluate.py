@@ -23,12 +23,6 @@ from flipperctl.policies.source import PolicySource
 _SHOWN = 12  # largest number of scenes that the sentence on an interruption names
 
 
-def _rank(played: Played) -> int:
-    """Return the place among the usual baselines; a policy that is none comes behind them."""
-    name = played.entry.method
-    return RULES.index(name) if name in RULES else len(RULES)
-
-
 @dataclass(frozen=True)
 class Played:
     """The episodes of one entry of a plan."""
@@ -37,6 +31,12 @@ class Played:
     episodes: Episodes
     policy: PolicyIdentity | None = None
     """The policy as it was when it played; None for stored episodes of another one."""
+
+
+def _rank(played: Played) -> int:
+    """Return the place among the usual baselines; a policy that is none comes behind them."""
+    name = played.entry.method
+    return RULES.index(name) if name in RULES else len(RULES)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class Result:
         if played.entry.is_baseline or played.entry.stored:
             return []
         for other in self.played:
-            named = self.plan.with_best_known and _rank(other) < _rank(played)
+            named = self.plan.has_baselines and _rank(other) < _rank(played)
             if (other.entry.is_baseline or named) and other.entry.ground == played.entry.ground:
                 same = other.entry.config.rewards == played.entry.config.rewards
                 if other.entry.label not in by_label or same:

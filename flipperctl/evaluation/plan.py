@@ -113,7 +113,7 @@ class Plan:
     entries: tuple[Entry, ...]
     title: str = ""
     """What is evaluated, as the user called it."""
-    with_best_known: bool = False
+    has_baselines: bool = False
     """Whether baselines and the best stored policy, if it is better than all, stand beside them."""
 
     @classmethod

@@ -87,7 +87,7 @@ def run(
         # What follows from the episodes, before anything is shown
         if plan.engines and result.interruption is None:
             result = explained(result)
-        if plan.with_best_known:
+        if plan.has_baselines:
             result = with_best_known(result, written.store)
         document = view.document(result, by) | ({"command": typed} if typed else {})
         try:

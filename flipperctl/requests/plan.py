@@ -128,7 +128,7 @@ def make_plan(
     )
     title = ", ".join(short_names([entrant.method for entrant in entrants]).values())
     title = f"suite {suite.name}: {title}" if suite else title
-    return Plan(tuple(entries), title, with_best_known=baseline != "none")
+    return Plan(tuple(entries), title, has_baselines=baseline != "none")
 
 
 def entries_of(

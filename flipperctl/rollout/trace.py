@@ -88,7 +88,7 @@ class Trace:
 
     def __post_init__(self) -> None:
         """Give the arrays the precision of a file, so that what is drawn of them is equal."""
-        for name in _ARRAYS:
+        for name in (*_ARRAYS, _FLIPPERS):
             object.__setattr__(self, name, _single(getattr(self, name)))
         object.__setattr__(self, "maps", tuple(map(_single, self.maps)))
 
@@ -136,7 +136,8 @@ class Trace:
 
 
 _POSE = ("position", "pitch", "front", "rear", "time")
-_ARRAYS = ("ground", *_POSE, "decided", "actions", "heights", "risk", "flippers")
+_ARRAYS = ("ground", *_POSE, "decided", "actions", "heights", "risk")
+_FLIPPERS = "flippers"  # an array that files of pairs, and those of before, lack
 _WORDS = ("policy", "scene", "episode", "seed", "outcome", "conditions", "digest", "bin_width")
 _GEOMETRY = tuple(RobotGeometry.model_fields)
 
@@ -196,8 +197,9 @@ def write(path: Path, traces: Sequence[Trace]) -> None:
     arrays, headers = dict[str, Any](), list[dict[str, Any]]()
     for at, trace in enumerate(traces):
         for name in _ARRAYS:
-            if name != "flippers" or trace.flippers.size:
-                arrays[f"{at}.{name}"] = np.asarray(getattr(trace, name), np.float32)
+            arrays[f"{at}.{name}"] = np.asarray(getattr(trace, name), np.float32)
+        if trace.flippers.size:
+            arrays[f"{at}.{_FLIPPERS}"] = np.asarray(trace.flippers, np.float32)
         # Maps differ in length: their points lie in one array, the counts in the header.
         arrays[f"{at}.maps"] = np.concatenate([*trace.maps, np.empty((0, 2))]).astype(np.float32)
         headers.append(
@@ -233,7 +235,9 @@ def read(path: Path) -> list[Trace]:
 
 
 def _trace(file: Mapping[str, FloatArray], at: int, header: Mapping[str, Any]) -> Trace:
-    arrays: dict[str, Any] = {n: file[f"{at}.{n}"] for n in _ARRAYS if f"{at}.{n}" in file}
+    arrays: dict[str, Any] = {name: file[f"{at}.{name}"] for name in _ARRAYS}
+    if (four := f"{at}.{_FLIPPERS}") in file:
+        arrays[_FLIPPERS] = file[four]
     ends = np.cumsum(header["map_points"], dtype=np.int64)
     trace = Trace(
         **{name: header[name] for name in _WORDS},

@@ -44,8 +44,8 @@ def findings(evaluated: Document, gaps: Gaps = MappingProxyType({})) -> Iterator
         for difference in evaluation.difference_rows(evaluated)
     }
     # What the table has, decides, in whichever direction.
-    told = {*stored, *((scene, other, policy) for scene, policy, other in stored)}
-    further = {at: gap for at, gap in gaps.items() if at not in told}
+    pairs = {*stored, *((scene, other, policy) for scene, policy, other in stored)}
+    further = {at: gap for at, gap in gaps.items() if at not in pairs}
     known = {**further, **stored}
     yield from (*_best(rows, known), *_compared(further), *_losses(rows, known), *_failed(rows))
 
@@ -209,11 +209,8 @@ def _losses(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
         ruler = scene_rows.pop(RULER, {})
         for policy, row in scene_rows.items() if ruler else ():
             compared = True
-            variation, still, gap = (
-                row[VARIATION],
-                ruler[VARIATION],
-                gaps.get((scene, policy, RULER)),
-            )
+            variation, still = row[VARIATION], ruler[VARIATION]
+            gap = gaps.get((scene, policy, RULER))
             name = f"**{policy}** on {scene}"
             if _is_above(ruler["success"], row["success"]["high"]):
                 worse.append(f"{name} (success {rate_text(row['success'])})")
