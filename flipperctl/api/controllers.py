@@ -67,8 +67,11 @@ class Simulator(Protocol):
         """
 
     # Decisions, as the policy would meet them.
-    def step(self, action: int) -> Outcome | None:
-        """Simulate one decision; return the outcome, or None while the episode runs."""
+    def step(self, action: Action) -> Outcome | None:
+        """Simulate one decision; return the outcome, or None while the episode runs.
+
+        ``action``: as a rule returns it, an index of pairs, or rates.
+        """
 
     def perceive(self) -> Perception:
         """Return the policy's current perception.
@@ -139,10 +142,10 @@ class CostPolicy(Policy, Protocol):
     """
 
     def costs(self, p: Perception, /) -> FloatArray:
-        """Return the cost of each action of ``ACTIONS``, (9,) [s]; every cost is finite.
+        """Return the cost of each action of ``ACTIONS``, (9,), or of J joints, (3^J,) [s].
 
-        The cost is that of the cheapest known behaviour that begins with the action. An action
-        without a known behaviour has a cost far above the others.
+        The cost is that of the cheapest known behaviour that begins with the action. Every cost is
+        finite; an action without a known behaviour has a cost far above the others.
         """
 
     def took(self, action: int, /) -> None:

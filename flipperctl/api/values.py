@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
@@ -292,9 +292,15 @@ class Command(NamedTuple):
     """Target angles of four flippers, as in ``RobotState``; empty: both sides alike [rad]."""
 
     @property
-    def numbers(self) -> tuple[float, float, float, float, float]:
-        """The other fields, which are recorded."""
-        return self.front, self.rear, self.belts, self.took_front, self.took_rear
+    def numbers(self) -> tuple[float, ...]:
+        """All fields in one row, as they are recorded, (5,), of four flippers (9,)."""
+        return (*self[:5], *self.flippers)
+
+    @classmethod
+    def of(cls, numbers: Sequence[float]) -> Command:
+        """Return the command that has these ``numbers``."""
+        front, rear, belts, took_front, took_rear, *flippers = numbers
+        return cls(front, rear, belts, took_front, took_rear, tuple(flippers))
 
 
 @dataclass(frozen=True)
@@ -378,7 +384,10 @@ class Transition:
     None in predictions, and in an engine that does not measure it. Measures may use it.
     """
     commands: FloatArray | None = None
-    """``numbers`` of each ``Command`` in the decision, (K, 5); None: the policy chose an action."""
+    """``numbers`` of each ``Command`` in the decision, (K, 5) or (K, 9).
+
+    None: the policy chose an action.
+    """
 
     @property
     def ended(self) -> bool:
@@ -408,6 +417,7 @@ class RecordedEpisode:
     rewards: NDArray[np.float64]
     """Sums of the weighted reward terms, (T,) [-]; see ``TrainingEpisodes`` for others."""
     labels: NDArray[np.float32]
-    """Target distributions over actions for a student, (T, 9); zeros without a label."""
+    """Target distributions over actions for a student, (T, 3^J); zeros without a label."""
     commands: FloatArray | None = None
-    """Fields of an operator's commands, (K, 5); None of a policy that chooses actions."""
+    """``numbers`` of an operator's commands, (K, 5) or (K, 9); None of a policy that chooses
+    actions."""

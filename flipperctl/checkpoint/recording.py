@@ -8,9 +8,10 @@ other:
   one instant, so that any network can stack them; the last one follows the last decision;
 - ``action``, int64: the indices of the T actions;
 - ``reward``, float64: the T sums of the weighted reward terms;
-- ``label``, float32: the T target distributions (9,) over actions for a student, each with the sum
-  1, or zeros without a teacher;
-- ``command``, float64, of episodes that an operator drove: the fields of the K commands, (K, 5).
+- ``label``, float32: the T target distributions (3^J,) over actions for a student, each with the
+  sum 1, or zeros without a teacher;
+- ``command``, float64, of episodes that an operator drove: ``numbers`` of the K commands, (K, 5),
+  of four flippers (K, 9).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, Command, ObservationLayout, Outcome, RecordedEpisode
+from flipperctl.api import ObservationLayout, Outcome, RecordedEpisode
 from flipperctl.checkpoint import document as sealed
 from flipperctl.checkpoint.document import (
     EPISODES,
@@ -111,7 +112,7 @@ class RecordingDocument(Record):
 
     @model_validator(mode="after")
     def _environments_fit(self) -> Self:
-        if len({(e.perception.bins, e.perception.bin_width) for e in self.environments}) > 1:
+        if len({e.perception.layout for e in self.environments}) > 1:
             raise ValueError("its environments have different observation layouts")
         count = len(self.environments)
         for at, episode in enumerate(self.episodes):
@@ -176,10 +177,9 @@ def write(
         ),
     )
     # The tensors hold all episodes one after the other; the document has their lengths.
-    size = parts[0][0].perception.layout.size if parts else 0
     tensors = {
         name: _joined([getattr(episode, f"{name}s") for _, episode in placed], shape, kind)
-        for name, (shape, kind) in _rows(size, command_period is not None).items()
+        for name, (shape, kind) in _rows(document).items()
     }
     text = json.dumps(document.model_dump(mode="json"), allow_nan=False)
     write_bytes(path, sealed.serialize(text, tensors))
@@ -195,15 +195,19 @@ def require_one_layout(path: Path, configs: Sequence[EnvConfig | PartialEnvironm
         )
 
 
-def _rows(size: int, operated: bool) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
+def _rows(document: RecordingDocument) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
     """Return shape and type of a row of each tensor."""
+    layouts = [environment.perception.layout for environment in document.environments]
+    size, joints = (layouts[0].size, len(layouts[0].joints)) if layouts else (0, 2)
     rows: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
         "observation": ((size,), np.float32),
         "action": ((), np.int64),
         "reward": ((), np.float64),
-        "label": ((len(ACTIONS),), np.float32),
+        "label": ((3**joints,), np.float32),
     }
-    return rows | ({"command": ((len(Command(0.0, 0.0).numbers),), np.float64)} if operated else {})
+    if document.command_period is not None:
+        rows["command"] = ((5 if joints == 2 else 5 + joints,), np.float64)  # ``Command.numbers``
+    return rows
 
 
 def _joined(
@@ -270,17 +274,16 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
         "observation": count + len(document.episodes),
         "command": sum(episode.commands for episode in document.episodes),
     }
-    size = document.environments[0].perception.layout.size if document.environments else 0
     # Views of one number: the document may be of any origin, and its shapes of any size.
     expected = {
         name: torch.from_numpy(np.zeros((), kind)).expand(counts.get(name, count), *shape)
-        for name, (shape, kind) in _rows(size, document.command_period is not None).items()
+        for name, (shape, kind) in _rows(document).items()
     }
     require_equal_layout(tensors, expected)
     # Numbers: indices within the actions, labels that are distributions or zeros.
     action, label = tensors["action"], tensors["label"]
-    if bool(((action < 0) | (action >= len(ACTIONS))).any()):
-        raise ValueError(f"action lies outside of 0 to {len(ACTIONS) - 1}")
+    if bool(((action < 0) | (action >= label.shape[1])).any()):
+        raise ValueError(f"action lies outside of 0 to {label.shape[1] - 1}")
     total = label.sum(dim=1)
     labelled = (total - 1).abs() < _SUM
     if bool((label < 0).any()) or not bool((labelled | (label == 0).all(dim=1)).all()):

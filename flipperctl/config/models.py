@@ -283,11 +283,6 @@ class TrainConfig(EnvConfig):
             yield f"teacher: {name} learns from rewards alone; set teacher=none"
         if self.train.record and (agent.own_loop or self.actions == "rates"):
             yield f"train.record: it does not go with {name} actions={self.actions}; leave it out"
-        if self.robot.flippers != "pairs" and (self.teacher.teaches or self.train.record):
-            yield (
-                "robot.flippers: teachers and recorded episodes have pairs alone; set teacher=none "
-                "and train.record=false"
-            )
         if self.train.mode == "exact" and self.collector.name != "local":
             yield (
                 "train.mode: exact plays episodes in the learner's process; "

@@ -98,10 +98,12 @@ def rates_of(outputs: Sequence[float]) -> Rates:
     return tuple(round(min(1.0, max(-1.0, output)), 3) for output in outputs)
 
 
-def closest(rates: Rates) -> int:
-    """Return the index of the action that comes closest to rates."""
+def closest(action: Action) -> int:
+    """Return the index of the action that comes closest to rates; an index is its own."""
+    if not isinstance(action, tuple):
+        return action
     # Halves are rounded up; ``round`` would round them to the even number.
-    return action_index(*(math.floor(rate + 0.5) for rate in rates))
+    return action_index(*(math.floor(rate + 0.5) for rate in action))
 
 
 def turns(step: float, kind: ActionKind = "turns", joints: int = 2) -> FloatArray:
@@ -133,10 +135,20 @@ def alike(pairs: Sequence[T], joints: int) -> tuple[T, ...]:
 
 
 def of_pairs(action: Action, joints: int) -> Action:
-    """Return an action of the pairs as one of J joints, both sides alike."""
+    """Return an action of the pairs as one of J joints, both sides alike; J rates are their own."""
     if isinstance(action, tuple):
-        return alike(action, joints)
+        return action if len(action) == joints else alike(action, joints)
     return action_index(*alike(ACTIONS[action], joints))
+
+
+def of_rule(action: int, joints: int) -> Action:
+    """Return an index of J joints as rules give it: of pairs an index, of others J rates."""
+    return action if joints == 2 else tuple(map(float, actions_of(joints)[action]))
+
+
+def to_pairs(action: int, joints: int) -> int:
+    """Return the index of the pairs that comes closest to an index of J joints."""
+    return closest(means(actions_of(joints)[action]))
 
 
 def means(joints: Sequence[float]) -> tuple[float, float]:

@@ -87,10 +87,13 @@ class Commanding:
         # The first command of an episode starts from the targets of its start.
         self._followed = self._followed or targets
         command = self._call(world)
-        if not all(map(math.isfinite, (*command.numbers, *command.flippers))):
+        if not all(map(math.isfinite, command.numbers)):
             raise NonFiniteError(
                 f"an operator's command has a number that is not finite: {command}"
             )
+        # Of four flippers each command has four angles, so that recorded rows are equally long.
+        if len(targets) > 2 and not command.flippers:
+            command = command._replace(flippers=alike((command.front, command.rear), len(targets)))
         self.commands.append(command)
         self._waiting.append(command)
         # The actuators' delay: a command takes effect some calls later.
@@ -98,8 +101,7 @@ class Commanding:
             return targets
         due = self._waiting.popleft()
         limit, belts = self._limit, min(1.0, max(-1.0, due.belts))
-        angles = due.flippers or alike((due.front, due.rear), len(targets))
-        targets = tuple(min(limit, max(-limit, float(angle))) for angle in angles)
+        targets = tuple(min(limit, max(-limit, float(angle))) for angle in angles_of(due))
         world.command(*targets)
         if belts != self._belts:
             world.run_belts(belts)
@@ -107,7 +109,7 @@ class Commanding:
         return targets
 
     def end(self, targets: Targets) -> tuple[int, FloatArray]:
-        """Return the action that came closest to the last decision's commands, and these (K, 5).
+        """Return the action closest to the last decision's commands, and these as ``numbers``.
 
         Turns that an action could not express go to the next one, so that the sum of the actions
         follows the targets.
@@ -168,7 +170,7 @@ class Drive:
         self.rates: Rates | None = None
         """Rates of the last action; None of an index and of an operator."""
         self.commands: FloatArray | None = None
-        """An operator's commands in the last decision, (K, 5)."""
+        """An operator's commands in the last decision, (K, 5), of four flippers (K, 9)."""
         self._turn_at = turn
         self._operator: Commanding | None = None
         self._samples = 0

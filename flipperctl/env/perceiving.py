@@ -27,7 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.building import built
 from flipperctl.core.observation import assemble, bin_heights
-from flipperctl.core.targets import angles_of, of_pairs
+from flipperctl.core.targets import Action, angles_of, of_pairs
 from flipperctl.env.drive import Drive
 from flipperctl.env.placed import mounted_parts, require_sensed_finite
 
@@ -264,8 +264,8 @@ class SceneSimulator:
             self._perceivers[exact] = self._make_perceiver(self._drive, exact)
         return self._perceivers[exact]
 
-    def step(self, action: int) -> Outcome | None:
-        """Simulate one decision of pairs; return the outcome, or None while the episode runs."""
+    def step(self, action: Action) -> Outcome | None:
+        """Simulate one decision; return the outcome, or None while the episode runs."""
         return self._drive.decide(of_pairs(action, len(self._drive.robot.joints)))
 
     def save(self) -> Any:

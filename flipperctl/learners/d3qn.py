@@ -40,6 +40,10 @@ class D3qn(D3qnSettings):
                 )
 
     def _check_values(self, config: TrainConfig, teacher: Teacher) -> None:
+        if config.robot.flippers != "pairs":
+            raise ValueError(
+                "robot.flippers: a search has values of pairs alone; set teacher.loss=cross_entropy"
+            )
         if config.network.frames > 1:
             raise ValueError(
                 f"network: {config.network.plugin_name} takes {config.network.frames} "

@@ -94,7 +94,7 @@ class DriveFolder:
 
         def seen(d: Decision) -> None:
             before, after = d.perception.observation, d.next_perception.observation
-            label = from_action(d.action)
+            label = from_action(d.action, len(config.robot.joints))
             recorder.add(before, d.action, d.reward, after, label, d.transition.commands)
             digest.add(d)
             watch(d)

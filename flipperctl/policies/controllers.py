@@ -1,6 +1,6 @@
 """Controllers as policies, whose answers are checked, and as teachers of a student's policy.
 
-A teacher labels decisions: a label is the target distribution over actions for a student, (9,),
+A teacher labels decisions: a label is the target distribution over actions for a student, (3^J,),
 from the cost of each action, or from the action that is taken.
 """
 
@@ -29,7 +29,7 @@ from flipperctl.api.controllers import Rule
 from flipperctl.config import Teacher
 from flipperctl.config.identity import foreign_plugins
 from flipperctl.core.risk import RiskSign
-from flipperctl.core.targets import Action, allowed, as_action, of_pairs
+from flipperctl.core.targets import Action, allowed, as_action, closest, of_pairs, of_rule, to_pairs
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.plugging.checked import require
@@ -70,6 +70,7 @@ class PluginPolicy:
     def __init__(self, controller: Controller, policy: Policy, joints: int = 2) -> None:
         """Run ``policy``, which ``controller`` built, on a robot of J joints."""
         self._joints = joints
+        self._costs_pairs = True
         self._controller, self._foreign = controller, foreign_plugins([controller])
         self._policy: Any = policy
         self.offers_costs = isinstance(policy, CostPolicy)
@@ -127,23 +128,37 @@ class PluginPolicy:
         return command
 
     def costs(self, p: Perception) -> FloatArray:
-        """Return the policy's finite cost of each action, (9,) [s]."""
+        """Return the policy's cost of each action of J joints, (3^J,) [s].
+
+        Of a policy of pairs, what turns both sides alike has its finite cost, all else infinity.
+        """
         with self._calling("costs"):
             answer: object = self._policy.costs(p)
             costs = np.asarray(answer, np.float64)
-        if costs.shape != (len(ACTIONS),) or not np.isfinite(costs).all():
+        self._costs_pairs = costs.shape == (len(ACTIONS),)
+        fits = self._costs_pairs or costs.shape == (3**self._joints,)
+        if not fits or not np.isfinite(costs).all():
             raise self._refusal("costs", answer, f"{len(ACTIONS)} finite costs are allowed")
-        return costs
+        if not self._costs_pairs:
+            return costs
+        widened = np.full(3**self._joints, np.inf)
+        for action, cost in enumerate(costs):
+            widened[closest(of_pairs(action, self._joints))] = cost
+        return widened
 
     def took(self, action: int) -> None:
         """Tell the policy which action was taken after its ``costs``."""
         with self._calling("took"):
-            self._policy.took(action)
+            self._policy.took(self._its(action))
 
     def follow(self, p: Perception, action: int) -> None:
         """Tell the policy what another one perceived and did."""
         with self._calling("follow"):
-            self._policy.follow(p, action)
+            self._policy.follow(p, self._its(action))
+
+    def _its(self, action: int) -> int:
+        """Return an action of J joints as the policy's own, of pairs the closest one."""
+        return to_pairs(action, self._joints) if self._costs_pairs else action
 
     def state_groups(self, rng: np.random.Generator) -> StateGroups:
         """Return groups of states of the episode's ground with finite values of their actions."""
@@ -154,25 +169,25 @@ class PluginPolicy:
 
 
 def from_costs(costs: FloatArray, temperature: float = TEMPERATURE) -> NDArray[np.float32]:
-    """Return softmax(-costs / temperature), (9,).
+    """Return softmax(-costs / temperature), (3^J,).
 
-    ``costs``: finite cost of each action, (9,) [s]; ``temperature`` in seconds.
+    ``costs``: cost of each action, (3^J,), one of them finite [s]; ``temperature`` in seconds.
     """
     # Differences to the least cost keep the exponentials finite.
     weights = np.exp((costs.min() - costs) / temperature)
     return np.asarray(weights / weights.sum(), np.float32)
 
 
-def from_action(action: int) -> NDArray[np.float32]:
-    """Return the distribution that is 1 at ``action`` and 0 elsewhere, (9,)."""
-    label = no_label()
-    label[action] = 1.0
+def from_action(action: Action, joints: int = 2) -> NDArray[np.float32]:
+    """Return the distribution that is 1 at the turns closest to ``action``, else 0, (3^J,)."""
+    label = no_label(joints)
+    label[closest(action)] = 1.0
     return label
 
 
-def no_label() -> NDArray[np.float32]:
-    """Return the zeros of a state without a label, (9,)."""
-    return np.zeros(len(ACTIONS), np.float32)
+def no_label(joints: int = 2) -> NDArray[np.float32]:
+    """Return the zeros of a state without a label, (3^J,)."""
+    return np.zeros(3**joints, np.float32)
 
 
 class Labeller:
@@ -184,11 +199,11 @@ class Labeller:
         self._temperature = temperature
         self._by_costs = isinstance(policy, PluginPolicy) and policy.offers_costs
 
-    def choose(self, p: Perception) -> tuple[int, NDArray[np.float32]]:
-        """Return the policy's action, the cheapest if it offers costs, and the label, (9,)."""
+    def choose(self, p: Perception) -> tuple[Action, NDArray[np.float32]]:
+        """Return the policy's action, the cheapest if it offers costs, and the label, (3^J,)."""
         if not self._by_costs:
             action = self._policy.act(p)
-            return action, from_action(action)
+            return action, from_action(action, len(p.layout.joints))
         costs: FloatArray = self._policy.costs(p)
         return int(costs.argmin()), from_costs(costs, self._temperature)
 
@@ -207,7 +222,7 @@ class DemonstratingPolicy:
         self._policy: Any = policy
         self._labeller = Labeller(policy)
         self.label = from_action(0)
-        """The distribution over actions at the last decision, (9,)."""
+        """The distribution over actions at the last decision, (3^J,)."""
         self.command_period: float | None = getattr(policy, "command_period", None)
         self.command = getattr(policy, "command", None)
         self.risk_sign: RiskSign | None = getattr(policy, "risk_sign", None)
@@ -222,10 +237,10 @@ class DemonstratingPolicy:
         """Begin an episode."""
         self._policy.reset(simulator)
 
-    def act(self, p: Perception) -> int:
+    def act(self, p: Perception) -> Action:
         """Return the policy's action, the cheapest if it offers costs; store the label."""
         action, self.label = self._labeller.choose(p)
-        self._labeller.took(action)
+        self._labeller.took(closest(action))
         return action
 
 
@@ -260,7 +275,7 @@ class DaggerPolicy:
         """Whether the last action was random."""
         self._simulator: Simulator | None = None
         self.label = from_action(0)
-        """The teacher's distribution over actions at the last decision, (9,); zeros without one."""
+        """The teacher's distribution over actions at the last decision, (3^J,); zeros: none."""
         self.groups: StateGroups | None = None
         """States of the episode's ground with their values, of a teacher that knows them."""
 
@@ -281,18 +296,20 @@ class DaggerPolicy:
     def act(self, p: Perception) -> int:
         """Return the acting policy's action; store the teacher's label."""
         simulator, share = self._simulator, self._settings.label_share
+        joints = len(p.layout.joints)
         seen = p if simulator is None else simulator.perceive_exactly()
         # Some decisions of the student get no label; the teacher only follows them.
         if self._student_acts and share < 1 and self._rng.random() >= share:
-            action, self.label = self._student_action(p), no_label()
+            action, self.label = self._student_action(p), no_label(joints)
             self._teacher.follow(seen, action)
         else:
             # The teacher labels this decision, whoever acts.
             choice, self.label = self._labeller.choose(seen)
-            action = self._student_action(p) if self._student_acts else self._varied(choice)
+            acts = self._student_acts
+            action = self._student_action(p) if acts else self._varied(closest(choice), joints)
             self._labeller.took(action)
         if simulator is not None:
-            simulator.step(action)  # repeats the episode bit for bit
+            simulator.step(of_rule(action, joints))  # repeats the episode bit for bit
         return action
 
     def _student_action(self, p: Perception) -> int:
@@ -301,7 +318,7 @@ class DaggerPolicy:
         self.explored = getattr(self._student, "explored", False)
         return action
 
-    def _varied(self, choice: int) -> int:
+    def _varied(self, choice: int, joints: int) -> int:
         """Return the teacher's ``choice``, or a random action."""
         self.explored = self._rng.random() < self._settings.random
-        return int(self._rng.integers(len(ACTIONS))) if self.explored else choice
+        return int(self._rng.integers(3**joints)) if self.explored else choice

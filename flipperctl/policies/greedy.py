@@ -21,7 +21,7 @@ from flipperctl.api import (
     ValuedPolicy,
     controller,
 )
-from flipperctl.core.targets import Action, actions_of
+from flipperctl.core.targets import Action, of_rule
 from flipperctl.errors import ConfigError
 
 
@@ -83,9 +83,7 @@ class GreedyPolicy:
 
     def act(self, p: Perception) -> Action:
         """Return the index of the action with the largest Q-value, or the rates of its turns."""
-        best, joints = int(self.costs(p).argmin()), len(p.layout.joints)
-        # The index of a controller is one of pairs; four flippers take rates.
-        return best if joints == 2 else tuple(map(float, actions_of(joints)[best]))
+        return of_rule(int(self.costs(p).argmin()), len(p.layout.joints))
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the negated Q-values, (3^J,) [-]."""

@@ -155,7 +155,7 @@ class _Recorded:
         if commands is None or self._commanded >= len(commands):
             raise self._departs()
         self._commanded += 1
-        return Command(*commands[self._commanded - 1].tolist())
+        return Command.of(commands[self._commanded - 1].tolist())
 
     def _departs(self) -> PolicyError:
         return PolicyError(

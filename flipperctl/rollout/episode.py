@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from flipperctl.agent.frames import stacked
 from flipperctl.agent.plain import Weights
 from flipperctl.api import (
-    ACTIONS,
     FloatArray,
     Outcome,
     Perception,
@@ -36,23 +35,17 @@ from flipperctl.core.targets import Rates, allowed, as_action
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.env.privileged import PrivilegedStates
-from flipperctl.errors import ConfigError, FlipperctlError
+from flipperctl.errors import FlipperctlError
 from flipperctl.rollout.risks import EpisodeRisks
 from flipperctl.sim.versions import samples_in
-
-NO_LABEL = np.zeros(len(ACTIONS), np.float32)
 
 
 class EpisodeRecorder:
     """Collects the decisions of one episode at a time."""
 
     def __init__(self, robot: Robot) -> None:
-        """Record episodes of ``robot``; ConfigError for one with other joints than pairs."""
-        if robot.flippers != "pairs":
-            raise ConfigError(
-                "robot.flippers: episodes are recorded of pairs alone, for files, drives and "
-                "searches of settings"
-            )
+        """Record episodes of ``robot``."""
+        self._no_label = np.zeros(3 ** len(robot.joints), np.float32)
         self._observations: list[NDArray[np.float32]] = []
         self._decisions: list[tuple[int, float, NDArray[np.float32]]] = []
         self._commands: list[FloatArray] = []
@@ -68,12 +61,12 @@ class EpisodeRecorder:
     ) -> None:
         """Add a decision; the observations are of single instants, (n,) in SI units.
 
-        ``commands``: an operator's commands, (K, 5).
+        ``commands``: an operator's commands, (K, 5) or of four flippers (K, 9).
         """
         if not self._decisions:
             self._observations.append(observation)
         self._observations.append(next_observation)
-        self._decisions.append((action, reward, NO_LABEL if label is None else label))
+        self._decisions.append((action, reward, self._no_label if label is None else label))
         if commands is not None:
             self._commands.append(commands)
 

@@ -190,7 +190,7 @@ def _episode(
         observations=np.array(observations, np.float32),
         actions=np.array(actions, np.int64),
         rewards=np.zeros(len(actions)),
-        labels=np.array([from_action(action) for action in actions], np.float32),
+        labels=np.array([from_action(action, len(followed)) for action in actions], np.float32),
     )
 
 

@@ -353,7 +353,7 @@ class Shadow:
             self._states[self._last[1].state] += elapsed
         if answer.action is not None:
             taken = answer.action
-            self._actions[closest(taken) if isinstance(taken, tuple) else taken] += 1
+            self._actions[closest(taken)] += 1
             self._warnings += answer.warning
         if answer.fault:
             entry = self._faults.setdefault(

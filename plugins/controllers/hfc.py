@@ -157,7 +157,10 @@ class Hfc(Controller):
     ) -> Iterator[tuple[int, int, FloatArray]]:
         """Yield the state before each decision, the state after it, and the features."""
         observations = episode.observations
-        states = labels(observations[1:, -3:].astype(np.float64), np.array(self.templates))
+        # The angles of all joints and the pitch are the last numbers; of four, the means count.
+        last = observations[1:, -1 - len(layout.joints) :].astype(np.float64)
+        ends = last[:, :-1].reshape(len(last), 2, -1).mean(2)
+        states = labels(np.column_stack([ends, last[:, -1]]), np.array(self.templates))
         for t, (before, after) in enumerate(pairwise(states)):
             yield before, after, features(observations[t], layout, robot)
 

@@ -17,7 +17,7 @@ def taken(episode: Sequence[Transition]) -> float:
     It is the mean of both pairs: 1 without shared control, where no policy commands the rest.
     """
     return float(
-        np.concatenate([t.commands[:, 3:] for t in episode if t.commands is not None]).mean()
+        np.concatenate([t.commands[:, 3:5] for t in episode if t.commands is not None]).mean()
     )
 
 

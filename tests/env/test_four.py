@@ -9,14 +9,21 @@ import torch
 from flipperctl import checkpoint
 from flipperctl.agent.losses import double_q_target
 from flipperctl.agent.networks import Branches
-from flipperctl.core.targets import actions_of
+from flipperctl.api import ACTIONS
+from flipperctl.checkpoint import recording
+from flipperctl.config import EnvConfig, Teacher
+from flipperctl.core.targets import actions_of, of_pairs
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
+from flipperctl.evaluation.rows import RECORDED
 from flipperctl.export.policy import export
+from flipperctl.policies.controllers import DaggerPolicy
 from flipperctl.policies.greedy import Greedy
 from flipperctl.policies.source import ExportedPolicy, controller_policy, load_policy
 from flipperctl.rollout.episode import decisions
+from flipperctl.training.episodes import EPISODES
 from flipperctl.training.trainer import Trainer
+from tests.played import play_episodes
 from tests.short import few
 
 FOUR = {"sim": "mujoco", "robot": {"flippers": "four"}}
@@ -106,3 +113,48 @@ def test_a_training_of_four_drives_equally_from_its_file(tmp_path: Path, kind: s
             assert isinstance(index, int)
             assert rates == actions_of(4)[index]
             env.step(rates)
+
+
+def test_recorded_episodes_of_four_teach_turns_of_each_side(tmp_path: Path) -> None:
+    words = {**FOUR, "sim": {"name": "mujoco", "one_sided": 1}, "perception": {"sides": True}}
+    config, source = EnvConfig(terrain="step", **words), load_policy("okada_sides")
+    played = play_episodes(config, source, episodes=2, seed=5, record=True)
+    file = tmp_path / "sides.safetensors"
+    recording.write(file, "okada_sides", [(config, [row[RECORDED] for row in played])])
+    again = recording.read(file)
+    for row, episode in zip(played, again.episodes, strict=True):
+        assert np.array_equal(episode.actions, row[RECORDED].actions)
+        assert episode.labels.shape == (len(episode.actions), 81)
+        assert (episode.labels.argmax(1) == episode.actions).all()
+    turns = np.array(actions_of(4))[np.concatenate([e.actions for e in again.episodes])]
+    assert (turns[:, 0] != turns[:, 1]).any()
+    # The same episodes without a record, and a training that learns from them and records its own
+    unrecorded = play_episodes(config, source, episodes=2, seed=5)
+    assert [row["digest"] for row in unrecorded] == [row["digest"] for row in played]
+    alone = {"teacher.episodes": str(file), "teacher.td_weight": 0.0, "train.decisions": 60}
+    run = few(**words, **alone, **{"train.record": True, "train.validation_episodes": 1})
+    (tmp_path / checkpoint.BEST.parent).mkdir(parents=True)
+    trainer = Trainer(run, tmp_path)
+    trainer.run()
+    label = checkpoint.read(tmp_path / checkpoint.LAST).part("replay")["label"][: again.decisions]
+    assert label.argmax(1).tolist() == [a for e in again.episodes for a in e.actions.tolist()]
+    assert recording.read(tmp_path / EPISODES).episodes[0].labels.shape[1] == 81
+
+
+@pytest.mark.parametrize("teacher", ["okada", "mpc"])
+def test_a_teacher_of_pairs_labels_turns_of_both_sides_alike(teacher: str) -> None:
+    small = {"value": "", "beam": 2, "horizon": 2} if teacher == "mpc" else {}
+    settings = Teacher(controller={"name": teacher, **small}, privileged=True, random=0.5)
+    env = FlipperEnv("uplift", **FOUR)
+    assert settings.controller is not None
+    acting = controller_policy(settings.controller, env.config)
+    student = load_policy("level").build(env.config)
+    policy = DaggerPolicy(student, acting, settings, lambda: False, np.random.default_rng(0))
+    alike, actions = [of_pairs(action, 4) for action in range(len(ACTIONS))], set()
+    for number, decision in enumerate(decisions(env, policy, 3)):
+        assert policy.label.shape == (81,)
+        assert policy.label[alike].sum() == pytest.approx(1)
+        actions.add(decision.action)
+        if number == 8:
+            break
+    assert actions - set(alike)  # random ones turn the sides apart
