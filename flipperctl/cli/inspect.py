@@ -15,6 +15,7 @@ from flipperctl.errors import CheckpointError, RequestError
 from flipperctl.terminal.streams import show
 
 if TYPE_CHECKING:
+    from flipperctl.api import Profile
     from flipperctl.checkpoint import Checkpoint
 
 
@@ -100,6 +101,7 @@ def terrain(
     from flipperctl.requests.compose import compose_environment
     from flipperctl.requests.text import from_words
     from flipperctl.terminal.tables import print_terrain
+    from flipperctl.text.messages import spans
 
     # Settings of an evaluation choose no profiles.
     for override in overrides or []:
@@ -117,12 +119,16 @@ def terrain(
         from flipperctl.figures.terrain import terrain_figure
 
         # A picture that says in its file how it was made
-        profiles, labels = [p for p, _ in sampled], [f"seed {row['seed']}" for row in rows]
-        # Ground that is the same for every seed is drawn once.
-        if len({profile.points.tobytes() for profile in profiles}) == 1:
-            profiles, labels = profiles[:1], labels[:1]
+        # Ground that is the same for several seeds is drawn once.
+        seeds: dict[bytes, list[int]] = {}
+        profiles: dict[bytes, Profile] = {}
+        for profile, row in sampled:
+            key = profile.points.tobytes()
+            seeds.setdefault(key, []).append(row["seed"])
+            profiles.setdefault(key, profile)
+        labels = [f"seed{'s' * (len(alike) > 1)} {spans(alike)}" for alike in seeds.values()]
         about = " ".join(words)
-        save(terrain_figure(profiles, config.robot, labels), output, about)
+        save(terrain_figure(list(profiles.values()), config.robot, labels), output, about)
     document = {"terrain": resolver.to_dict(config.terrain), "draws": rows}
     show(document, lambda: print_terrain(name, rows, output), as_json=as_json)
 

@@ -7,6 +7,7 @@ and drawn values, in SI units. Equal episodes, bit for bit, have an equal ``dige
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -72,6 +73,22 @@ def sampled(row: Mapping[str, Any]) -> dict[str, float]:
 def reached(row: Mapping[str, Any]) -> bool:
     """Return whether the episode reached the finish."""
     return bool(row["outcome"] == Outcome.REACHED)
+
+
+def telling(episodes: Iterable[tuple[int, bool, float]]) -> int:
+    """Return the index of the episode that shows most of several policies.
+
+    Most of them reach its finish, and among such episodes their pitch varies most.
+
+    Args:
+        episodes: index, whether the finish was reached, and pitch variation [rad] of each episode
+            of each policy.
+    """
+    finished, variations = Counter[int](), Counter[int]()
+    for index, good, variation in episodes:
+        finished[index] += good
+        variations[index] += variation  # type: ignore[assignment]  # a sum
+    return max(sorted(finished), key=lambda index: (finished[index], variations[index]))
 
 
 def number(row: Mapping[str, Any], name: str) -> float | None:

@@ -115,7 +115,7 @@ def curves_figure(
         if metric not in known:
             raise RequestError(unknown("metric: no run has a column", metric, known))
     # A panel for each metric: the curves of all methods, or all of a single run
-    figure, axes = panels(width, len(metrics), points(1.25))
+    figure, axes = panels(width, len(metrics), points(1.3))
     alone = len(runs) == 1 and len(next(iter(runs.values()))) == 1
     validated = uses_validations(runs)
     for panel, metric in zip(axes, metrics, strict=True):
@@ -248,7 +248,7 @@ def _draw_run(axes: Axes, rows: Sequence[CsvRow], metric: str, window: int) -> N
 
 
 def _finish(axes: Axes, metric: str) -> None:
-    style(axes, "", "", label(metric, folded=True))
+    style(axes, label(metric), "", "")
     lines = [np.asarray(line.get_ydata(), np.float64) for line in axes.get_lines()]
     if not any(np.isfinite(line).any() for line in lines):
         note(axes, "no update yet" if metric == "loss" else "no value yet")

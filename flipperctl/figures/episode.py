@@ -113,11 +113,11 @@ def series_figure(
     ``places``: see ``figure.places``. A cross ends the curve of an episode that did not reach the
     finish.
     """
-    figure, axes = panels(width, 4, points(0.85))
+    figure, axes = panels(width, 4, points(0.98))
     looks = [look(places.get(name, at), marked=False) for at, name in enumerate(names)]
     # A panel for each quantity, with a curve for each policy
     for panel, (label, values) in zip(axes, _SERIES.items(), strict=True):
-        style_axes(panel, "", "", label)
+        style_axes(panel, label, "", "")
         for shown, trace in zip(looks, traces, strict=True):
             far, curve = values(trace)
             if far is not None:
@@ -153,9 +153,9 @@ def _sides(trace: Trace, end: int) -> tuple[FloatArray | None, FloatArray]:
 
 _SERIES: dict[str, Callable[[Trace], tuple[FloatArray | None, FloatArray]]] = {
     "Pitch [°]": lambda trace: (None, np.degrees(trace.pitch)),
-    "Front\nflippers [°]": lambda trace: _sides(trace, 0),
-    "Rear\nflippers [°]": lambda trace: _sides(trace, 1),
-    "Chassis\nheight [m]": lambda trace: (None, trace.position[:, 1] - trace.position[0, 1]),
+    "Front flippers [°]": lambda trace: _sides(trace, 0),
+    "Rear flippers [°]": lambda trace: _sides(trace, 1),
+    "Chassis height [m]": lambda trace: (None, trace.position[:, 1] - trace.position[0, 1]),
 }
 
 
@@ -207,25 +207,40 @@ def _draw_poses(
         RobotArtist(axes, zorder=5.0 + i, fade=fade).show(state, trace.robot)
     frame(axes, *box, scale)
     axes.set_aspect("auto")  # see _fit
-    # Times stand above all bodies and times that they would touch.
+    # Times stand above all bodies, side by side, and a line leads to the middle of each pose.
     size: Any = axes.get_figure(root=True)
     inch = float((box[1] - box[0])[0]) / (size.get_figwidth() - points(0.6))  # [m]
     wide, tall = points(0.34) * inch, points(0.12) * inch / scale  # [m]
     corners = np.concatenate([outlines(state, trace.robot) for state in shown])  # (3 S, P, 2)
     along = np.linspace(0, 1, 20)[:, None, None, None]
     bodies = (corners + along * (np.roll(corners, -1, axis=1) - corners)).reshape(-1, 2)
-    placed: list[tuple[float, float]] = []
-    for state in shown:
-        x = float(state.position[0])
-        z = float(bodies[np.abs(bodies[:, 0] - x) < 0.6 * wide, 1].max()) + 0.3 * tall
-        for other, height in sorted(placed, key=lambda at: at[1]):
-            if abs(other - x) < wide and abs(height - z) < tall:
-                z = height + tall
-        placed.append((x, z))
-        axes.text(
-            x, z, f"{state.time:.1f} s", ha="center", va="bottom", fontsize=points(7), zorder=20,
+    ordered = sorted(shown, key=lambda state: float(state.position[0]))
+    places = spread([float(state.position[0]) for state in ordered], wide)
+    for x, state in zip(places, ordered, strict=True):
+        near = np.abs(bodies[:, 0] - x) < 0.6 * wide
+        top = float(bodies[near, 1].max()) if near.any() else float(state.position[1])
+        line: dict[str, Any] = {"arrowstyle": "-", "color": INK, "linewidth": points(0.5)}
+        axes.annotate(
+            f"{state.time:.1f} s", tuple(state.position), (x, top + 0.6 * tall), ha="center",
+            va="bottom", fontsize=points(7), zorder=20,
+            arrowprops=line | {"shrinkA": 0, "shrinkB": 0},
         )  # fmt: skip
+        axes.plot(*state.position, "o", color=INK, markersize=points(2), zorder=20)
     return shown
+
+
+def spread(wanted: Sequence[float], gap: float) -> list[float]:
+    """Return the places nearest to ascending wanted ones that are at least ``gap`` apart."""
+    # Places without their gaps must ascend: those that do not are pooled at their mean.
+    pools: list[tuple[float, int]] = []
+    for at, place in enumerate(wanted):
+        pool, count = place - at * gap, 1
+        while pools and pools[-1][0] > pool:
+            mean, members = pools.pop()
+            pool, count = (mean * members + pool * count) / (members + count), members + count
+        pools.append((pool, count))
+    flat = [mean for mean, members in pools for _ in range(members)]
+    return [mean + at * gap for at, mean in enumerate(flat)]
 
 
 def _fit(figure: Figure, panels: Sequence[Axes], scale: int) -> None:

@@ -121,7 +121,10 @@ def points(size: float) -> float:
 
 
 def panels(width: float, count: int, height: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels, each ``height`` [in]; side by side if there is room for two."""
+    """Return a figure with panels, each ``height`` [in]; side by side if there is room for two.
+
+    A panel's quantity belongs above it, since a low panel has no room for it along its axis.
+    """
     side_by_side = width >= points(_SIDE_BY_SIDE)
     columns = min(count, 2 if count in (2, 4) else 3) if side_by_side else 1
     rows = -(-count // columns)
@@ -263,8 +266,6 @@ def save(figure: Figure, path: Path, about: str = "") -> None:
     write_bytes(path, render(figure, path.suffix.lower(), about))
 
 
-_LONG = 10
-"""Largest number of characters before the unit on one line [-]."""
 SUCCESS, VARIATION = "success", "pitch_variation_100hz"
 _WORDS = {
     SUCCESS: "Success [%]",
@@ -279,16 +280,8 @@ _WORDS = {
 }
 
 
-def label(name: str, *, folded: bool = False) -> str:
-    """Return the label of an axis that shows a column of results.
-
-    ``folded``: on two lines if it is long, for the vertical axis of a low panel.
-    """
-    # The line breaks before the symbol or the unit.
-    if folded:
-        words = label(name)
-        at = words.find(" $") if " $" in words else words.find(" [")
-        return f"{words[:at]}\n{words[at + 1 :]}" if at > _LONG else words
+def label(name: str) -> str:
+    """Return the label of a column of results, for an axis or above a panel of it alone."""
     if name in _WORDS:
         return _WORDS[name]
     measure, words = registry.get((Measure.kind, name)), name.replace("_", " ")

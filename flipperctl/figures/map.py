@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
 
 from flipperctl.api import FloatArray
 from flipperctl.figures.figure import (
@@ -38,8 +37,8 @@ _EMPTY = "#E4E4E8"
 def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
     """Draw success and pitch variation where reached; points without a value are grey.
 
-    Dots mark the points that were played, if others are interpolated; a line follows a success of
-    one half.
+    Dots mark the points that were played, if others are interpolated; a line runs between points
+    with a success of at least one half and below it.
     """
     # The document's cells as grids; a row has one value of the second setting.
     first, second = mapped["axes"]
@@ -55,7 +54,7 @@ def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
         if cell["episodes"]:
             played.append((x, y))
     # Both quantities with their own colours, and dots at what was played
-    figure, axes = panels(width, 2, points(1.9))
+    figure, axes = panels(width, 2, points(2.1))
     finite = variation[np.isfinite(variation)]
     limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     for panel, grid, name, colours, ends in (
@@ -63,6 +62,7 @@ def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
         (axes[1], variation, VARIATION, "viridis_r", limits),
     ):
         _panel(panel, (first, second), grid, name, colours, ends)
+        panel.label_outer()
         if len(played) < len(mapped["cells"]):
             panel.plot(
                 *np.transpose(played), "o", color="white", markeredgecolor=INK,
@@ -74,17 +74,21 @@ def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
         handles.append(
             Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label="played")
         )
-    if lines := boundary(first["values"], second["values"], success / 100):
+    if len(lines := boundary(first["values"], second["values"], success / 100)):
+        edge: dict[str, Any] = {"color": INK, "linewidth": points(1.3)}
         for panel in axes:
-            for line in lines:
-                panel.plot(line[:, 0], line[:, 1], **_edge())
-        handles.append(Line2D([], [], label="success 50 %", **_edge()))
+            # The outline of an edge would lie over its neighbours.
+            for look in ({"color": "white", "linewidth": points(2.8)}, edge):
+                panel.add_collection(LineCollection(list(lines), capstyle="round", **look))
+        handles.append(Line2D([], [], label="success 50 %", **edge))
     if np.isnan(variation).any():
         count, whole = len(mapped["cells"]), success.size
         text = f"none reached, or not played ({count} of {whole} points are)"
         text = text if count < whole else "none reached"
         handles.append(Patch(color=_EMPTY, label=text))
     legend(figure, handles)
+    figure.supxlabel(axis_label(first), fontsize="medium")
+    figure.supylabel(axis_label(second), fontsize="medium")
     return figure
 
 
@@ -96,24 +100,33 @@ def axis_label(axis: Mapping[str, Any]) -> str:
     return f"{text[0].upper()}{text[1:]}{unit}"
 
 
-def boundary(first: Any, second: Any, success: FloatArray) -> list[FloatArray]:
-    """Return the lines (K, 2) along which success is ``BOUNDARY``, in the units of the axes.
+def boundary(first: Any, second: Any, success: FloatArray) -> FloatArray:
+    """Return the edges of points, (K, 2, 2), across which success crosses ``BOUNDARY``.
 
-    ``success`` has shape (rows, columns), 0 to 1, NaN where it is unknown; it is linear between
-    points at the values ``first``, (columns,), and ``second``, (rows,).
+    An edge has two ends (x, y) in the units of the axes, halfway between neighbouring points.
+    ``success`` has shape (rows, columns), 0 to 1, NaN where it is unknown, at the values ``first``,
+    (columns,), and ``second``, (rows,).
     """
-    if min(success.shape) < 2 or not np.nanmin(success) < BOUNDARY < np.nanmax(success):
-        return []
-    # Matplotlib traces the line on a figure that nobody sees.
-    scratch = Figure().subplots()
-    lines = scratch.contour(first, second, success, levels=[BOUNDARY])
-    return [np.asarray(line, np.float64) for line in lines.allsegs[0] if len(line) > 1]
+    x, y = _edges(first), _edges(second)
+    high = np.where(np.isnan(success), np.nan, success >= BOUNDARY)
+    upright = [
+        [(x[j + 1], y[i]), (x[j + 1], y[i + 1])]
+        for i, j in np.argwhere(np.abs(np.diff(high, axis=1)) == 1)
+    ]
+    level = [
+        [(x[j], y[i + 1]), (x[j + 1], y[i + 1])]
+        for i, j in np.argwhere(np.abs(np.diff(high, axis=0)) == 1)
+    ]
+    return np.reshape([*upright, *level], (-1, 2, 2))
 
 
-def _edge() -> dict[str, Any]:
-    """Return the look of the boundary, which shows on dark and on bright colours."""
-    outline = withStroke(linewidth=points(2.8), foreground=to_rgba("white", 0.9))
-    return {"color": INK, "linewidth": points(1.3), "path_effects": [outline]}
+def _edges(values: Any) -> FloatArray:
+    """Return the edges, (K + 1,), of points at ascending values, (K,)."""
+    at = np.asarray(values, np.float64)
+    if len(at) == 1:
+        return np.array([at[0] - 0.5, at[0] + 0.5])
+    middle = (at[1:] + at[:-1]) / 2
+    return np.array([2 * at[0] - middle[0], *middle, 2 * at[-1] - middle[-1]])
 
 
 def _panel(
@@ -128,12 +141,11 @@ def _panel(
     first, second = axes
     panel.set_facecolor(_EMPTY)
     mesh = panel.pcolormesh(
-        first["values"], second["values"], np.ma.masked_invalid(grid), cmap=colours,
-        vmin=limits[0], vmax=limits[1], shading="nearest", rasterized=True,
+        _edges(first["values"]), _edges(second["values"]), np.ma.masked_invalid(grid),
+        cmap=colours, vmin=limits[0], vmax=limits[1], rasterized=True,
     )  # fmt: skip
     bar = panel.figure.colorbar(mesh, ax=panel)
-    bar.set_label(label(name, folded=True))
-    style_axes(bar.ax, "", "", label(name, folded=True))
+    style_axes(bar.ax, "", "", "")
     bar.ax.grid(visible=False)
-    style_axes(panel, "", axis_label(first), axis_label(second))
+    style_axes(panel, label(name), "", "")
     panel.grid(visible=False)

@@ -37,6 +37,8 @@ _BANDS, _BARS = 2, 6
 _PALE = 0.85  # opacity of the cells of a heat table [-]
 _MOST = 6
 """Largest number of scenes beside each other in a heat table [-]."""
+_NARROWEST = 1.45
+"""Width of a panel from which its label fits below it [in] on paper."""
 _ROW = 0.15
 """Height of a method's line in a figure [in] on paper."""
 
@@ -55,16 +57,10 @@ def intervals_figure(
     names the methods. ``places``: see ``figure.places``.
     """
     looks = _looks(rows, places)
-    figure, axes = _beside(rows, len(metrics), width)
-    # Labels fold where panels are narrow.
-    longest = max(len(row["method" if _count(rows) == 1 else "scene"]) for row in rows)
-    narrow = (width - points(0.06 * longest)) / len(metrics) < points(1.45)
+    figure, axes = _lined(rows, len(metrics), width)
     for panel, metric in zip(axes, metrics, strict=True):
         _estimates(panel, rows, looks, metric)
-        style_axes(panel, "", label(metric, folded=narrow), "")
-        if narrow:
-            panel.xaxis.label.set_verticalalignment("top")
-            panel.xaxis.labelpad = points(2)
+        style_axes(panel, "", label(metric), "")
         panel.grid(visible=False, axis="y")
         if metric == SUCCESS:
             panel.set_xlim(-5, 105)
@@ -89,7 +85,7 @@ def differences_figure(
     ends of the axis, whatever a failure counts as.
     """
     looks = _looks(rows, places)
-    figure, (axes,) = _beside(rows, 1, width)
+    figure, (axes,) = _lined(rows, 1, width)
     # The range of the dots and the intervals
     ends = [row[metric][key] for row in rows for key in ("low", "mean", "high")]
     spreads = [np.asarray(row["episodes"])[np.asarray(row["failed"]) == 0] for row in rows]
@@ -120,15 +116,14 @@ def differences_figure(
         fontsize=matplotlib.rcParams["legend.fontsize"],
     )  # fmt: skip
     name, _, unit = label(metric).rpartition(" [")
-    words = f"Difference in {name[0].lower()}{name[1:]} to {against} [{unit}"
-    if crossed:
-        words += f"\n× failed: right the method alone, left {against} alone"
-    style_axes(axes, "", words, "")
-    if crossed:
-        axes.xaxis.label.set_verticalalignment("top")
-        axes.xaxis.labelpad = points(2)
+    style_axes(axes, "", f"Difference in {name[0].lower()}{name[1:]} to {against} [{unit}", "")
     axes.grid(visible=False, axis="y")
-    _name(figure, [axes], rows, looks)
+    crosses = []
+    if crossed:
+        figure.set_figheight(figure.get_figheight() + points(0.3))
+        words = f"failed: right the method alone, left {against} alone"
+        crosses = [Line2D([], [], label=words, linestyle="none", marker="x", color=FAINT)]
+    _name(figure, [axes], rows, looks, crosses)
     return figure
 
 
@@ -202,7 +197,10 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
     )
     bar.set_ticks([0, 1], labels=["0", "100"] if metric == SUCCESS else ["least", "largest"])
     words = label(metric) + ("" if metric == SUCCESS else ", coloured within each scene")
-    bar.set_label(words + ("\nbelow: success, if not 100 %" if partly else ""))
+    bar.set_label(words)
+    if partly:
+        small = matplotlib.rcParams["legend.fontsize"]
+        axes.set_title("Below a mean: success, if not 100 %", loc="left", fontsize=small)
     bar.ax.tick_params(labelsize=matplotlib.rcParams["xtick.labelsize"])
     return figure
 
@@ -242,7 +240,7 @@ def profiles_figure(
         )
     axes.set_xlim(levels[0], levels[-1])
     axes.set_ylim(-2, 102)
-    style_axes(axes, "", label(metric), "Episodes reached\nwith at most that [%]")
+    style_axes(axes, "Episodes reached with at most that [%]", label(metric), "")
     legend(figure, handles)
     return figure
 
@@ -273,12 +271,19 @@ def _placed(rows: Sequence[Row]) -> list[tuple[float, Row]]:
     return placed
 
 
-def _beside(rows: Sequence[Row], count: int, width: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure with panels that share their lines, one for each method and scene."""
+def _lined(rows: Sequence[Row], count: int, width: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with panels that share their lines, one for each method and scene.
+
+    Panels are side by side where each has room for its label, else below each other.
+    """
     lines = max(2, len(rows) + 0.7 * len({row["scene"] for row in rows}))
-    height = points(_ROW * lines + 0.55 + (0.25 if _count(rows) > 1 else 0))
+    longest = max(len(row["method" if _count(rows) == 1 else "scene"]) for row in rows)
+    beside = (width - points(0.06 * longest)) / count >= points(_NARROWEST)
+    each = points(_ROW * lines + 0.55)
+    height = each * (1 if beside else count) + points(0.25 if _count(rows) > 1 else 0)
     figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
+    places = (1, count) if beside else (count, 1)
+    return figure, list(figure.subplots(*places, sharey=True, squeeze=False).flat)
 
 
 def _estimates(
@@ -307,8 +312,12 @@ def _name(
     axes: Sequence[Axes],
     rows: Sequence[Row],
     looks: Mapping[str, Mapping[str, Any]],
+    handles: Sequence[Line2D] = (),
 ) -> None:
-    """Name the lines at the left of the first panel, and the methods of several scenes above."""
+    """Name the lines at the left of the panels, and the methods of several scenes above.
+
+    ``handles``: what the legend has besides.
+    """
     methods = list(dict.fromkeys(row["method"] for row in rows))
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     names = methods if len(scenes) == 1 else scenes
@@ -320,5 +329,5 @@ def _name(
         panel.spines["left"].set_visible(False)
         for between in range(1, len(names)) if len(scenes) > 1 else ():
             panel.axhline(0.5 - between, color=FAINT, linewidth=points(0.4), linestyle=":")
-    if len(scenes) > 1:
-        legend(figure, [Line2D([], [], label=name, **looks[name]) for name in methods])
+    several = methods if len(scenes) > 1 else []
+    legend(figure, [*(Line2D([], [], label=name, **looks[name]) for name in several), *handles])

@@ -57,10 +57,14 @@ _MARK = 0.12
 """Height of the marks of start and finish above the ground [m]."""
 _COLUMNS = 4
 """Largest number of small pictures in a row [-]."""
-_CELL = 0.95
-"""Height of a picture of a contact sheet, with its title [in]."""
-_SHAPE, _BAND = 0.36, 0.07
-"""Heights of such a picture, and of the ground below the lowest point, over its width [-]."""
+_ACROSS = 6.5
+"""Length of the part of the world in each picture of a contact sheet [m]."""
+_TALLEST = 4.0
+"""Largest height of that part; what is longer or higher is cut [m]."""
+_SKY, _EARTH = 0.3, 0.35
+"""Heights in such a picture above the highest point, and of the ground below the lowest [m]."""
+_NAMES, _BETWEEN = 0.24, 0.08
+"""Height of the names above such pictures, and the space beside them [in]."""
 
 
 @in_style
@@ -70,13 +74,14 @@ def terrain_figure(
     """Draw the first profile large with the robot in front of it, and up to twelve others small.
 
     x and z have equal scales, but the heights of very long ground are scaled up, which the axis
-    label states. The small pictures share one scale; the figure states how many profiles are left
-    out. ``labels`` replace the numbers of the profiles.
+    label states. The small pictures share one scale, height and base line; the figure states how
+    many profiles are left out. ``labels`` replace the numbers of the profiles.
     """
     others = profiles[1 : SMALL + 1]
     # One large picture, and rows of small ones that share a scale
     large = _window(profiles[0], robot)
-    extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
+    box = _shared(others) if others else np.array([[0.0, 0.0], [1.0, 1.0]])
+    extent = box[1] - box[0]
     rows = -(-len(others) // _COLUMNS)
     columns = -(-len(others) // rows) if rows else 1  # fill the rows evenly
     scale = z_scale(large[1] - large[0])
@@ -92,7 +97,7 @@ def terrain_figure(
     for i, profile in enumerate(others):
         axes = figure.add_subplot(grid[1 + i // columns, i % columns])
         name = labels[i + 1] if labels else f"sample {i + 2}"
-        _draw_small(axes, profile, extent, name, scale)
+        _draw_small(axes, profile, box, name, scale)
     left_out = len(profiles) - 1 - len(others)
     if left_out:
         figure.supxlabel(f"{left_out} more samples are not shown", fontsize="small", color=FAINT)
@@ -103,31 +108,68 @@ def terrain_figure(
 def contact_sheet(profiles: Mapping[str, Profile], robot: RobotGeometry) -> Figure:
     """Draw each profile with its name, its size and the robot in front of it.
 
-    Each picture has a scale of its own, which a bar of one metre shows.
+    All pictures have one scale, which a bar of one metre shows; ground that goes on past its
+    picture says so.
     """
-    rows = -(-len(profiles) // _COLUMNS)
-    figure = Figure(figsize=(WIDTH, _CELL * rows))
-    figure.subplots_adjust(0.01, 0.01, 0.99, 1 - 0.2 / (_CELL * rows), 0.05, 0.25)
-    for at, (name, profile) in enumerate(profiles.items()):
-        axes = figure.add_subplot(rows, _COLUMNS, at + 1)
-        draw_ground(axes, profile)
-        _draw_robot(axes, profile, robot)
-        # A scale of its own, with which the ground and the robot in front of it fill the picture
-        low, high = profile.points.min(axis=0), profile.points.max(axis=0)
-        behind = profile.start - 2 * _run_up(robot) + 0.1
-        width = max(high[0] + 0.4 - behind, (high[1] - low[1] + 0.4) / (_SHAPE - _BAND))
-        middle = (behind + high[0] + 0.4) / 2
-        bottom, right = low[1] - _BAND * width, middle + width / 2
-        axes.set_xlim(right - width, right)
-        axes.set_ylim(bottom, bottom + width * _SHAPE)
-        bar, height = right - 0.03 * width, (low[1] + bottom) / 2
-        axes.plot([bar - 1, bar], [height, height], "|-", color=INK, linewidth=0.8, markersize=3)
-        axes.text(bar - 1 - 0.02 * width, height, "1 m", size="xx-small", ha="right", va="center")
-        axes.set_aspect("equal")
-        axes.set_axis_off()
-        axes.set_title(name, fontsize="small", color=INK, loc="left", pad=2.0)
-        axes.set_title(_size(profile), fontsize="x-small", color=INK, loc="right", pad=2.0)
+    columns, names = min(_COLUMNS, len(profiles)), list(profiles)
+    across = WIDTH / _COLUMNS - _BETWEEN  # [in]
+    scale = across / _ACROSS  # [in/m]
+    boxes = {name: _box(profile, robot) for name, profile in profiles.items()}
+    # A row is as high as its highest picture.
+    rows = [names[at : at + columns] for at in range(0, len(names), columns)]
+    heights = [max(float(np.ptp(boxes[name][:, 1])) for name in row) for row in rows]  # [m]
+    width = columns * (across + _BETWEEN)
+    figure = Figure(figsize=(width, scale * sum(heights) + _NAMES * len(rows)))
+    top = figure.get_figheight()
+    for row, tall in zip(rows, heights, strict=True):
+        top -= _NAMES + scale * tall
+        for column, name in enumerate(row):
+            profile, (low, high) = profiles[name], boxes[name]
+            left = column * (across + _BETWEEN) + _BETWEEN / 2
+            place = np.array([left, top, across, scale * tall])  # [in]
+            axes = figure.add_axes(tuple(place / np.tile(figure.get_size_inches(), 2)))
+            draw_ground(axes, profile)
+            _draw_robot(axes, profile, robot)
+            axes.set_xlim(low[0], high[0])
+            axes.set_ylim(low[1], low[1] + tall)
+            axes.set_axis_off()
+            axes.set_title(name, fontsize="small", color=INK, loc="left", pad=2.0)
+            axes.set_title(_size(profile), fontsize="x-small", color=INK, loc="right", pad=2.0)
+            if text := _cut(profile, low, high):
+                axes.text(
+                    high[0] - 0.1, low[1] + 0.04, text, size="xx-small", ha="right", va="bottom"
+                )
+            if column == 0:
+                bar, height = low[0] + 0.15, low[1] + _EARTH / 2
+                mark: dict[str, Any] = {"color": INK, "linewidth": 0.8, "markersize": 3}
+                axes.plot([bar, bar + 1], [height, height], "|-", **mark)
+                axes.text(bar + 1.15, height, "1 m", size="xx-small", va="center_baseline")
     return figure
+
+
+def _box(profile: Profile, robot: RobotGeometry) -> FloatArray:
+    """Return the corners of a picture of a contact sheet, (2, 2), (x, z) in world [m]."""
+    left = profile.start - _run_up(robot) - robot.reach - 0.1
+    inside = profile.points[profile.points[:, 0] <= left + _ACROSS, 1]
+    base = float(profile.points[0, 1])
+    low, high = float(inside.min()), max(float(inside.max()), base + 2 * robot.track_radius)
+    # Of ground that is too high, what is nearest to the robot
+    if high - low > _TALLEST:
+        low = max(low, min(base - _TALLEST / 2, high - _TALLEST))
+        high = low + _TALLEST
+    return np.array([[left, low - _EARTH], [left + _ACROSS, high + _SKY]])
+
+
+def _cut(profile: Profile, low: FloatArray, high: FloatArray) -> str:
+    """Return where ground goes on past the corners of its picture; empty if it is whole."""
+    points = profile.points
+    sides = {
+        "→": points[-1, 0] > high[0],
+        "↑": points[:, 1].max() > high[1],
+        "↓": points[:, 1].min() < low[1],
+    }
+    arrows = "".join(arrow for arrow, goes_on in sides.items() if goes_on)
+    return f"goes on {arrows}" if arrows else ""
 
 
 def _draw_robot(axes: Axes, profile: Profile, robot: RobotGeometry) -> None:
@@ -156,12 +198,11 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, 
         legend_above(axes, marks)
 
 
-def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, scale: int) -> None:
+def _draw_small(axes: Axes, profile: Profile, box: FloatArray, name: str, scale: int) -> None:
     draw_ground(axes, profile)
     _mark_ends(axes, profile)
-    points = profile.points
-    middle = (points.min(axis=0) + points.max(axis=0)) / 2
-    frame(axes, middle - extent / 2, middle + extent / 2, scale)
+    low, high = box + profile.points[0]
+    frame(axes, low, high, scale)
     axes.set(xticks=[], yticks=[], xlabel="", ylabel="")
     axes.spines[:].set_color("#C8C8CC")
     axes.set_title(f"{name}: {_size(profile)}", fontsize="small")
@@ -209,9 +250,13 @@ def _window(profile: Profile, robot: RobotGeometry) -> tuple[FloatArray, FloatAr
     )
 
 
-def _extent(profile: Profile) -> FloatArray:
-    """Return width and height of the part of the world in a small picture, (2,) [m]."""
-    return np.asarray(np.ptp(profile.points, axis=0) + np.array([1.0, 0.3]))
+def _shared(profiles: Sequence[Profile]) -> FloatArray:
+    """Return the corners of all small pictures, (2, 2), (x, z) from the first point on [m]."""
+    points = [profile.points - profile.points[0] for profile in profiles]
+    low = np.min([part.min(axis=0) for part in points], axis=0)
+    high = np.max([part.max(axis=0) for part in points], axis=0)
+    margin = np.array([0.5, 0.15])
+    return np.array([low - margin, high + margin])
 
 
 def _margin(profile: Profile) -> float:

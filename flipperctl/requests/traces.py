@@ -1,7 +1,8 @@
 """Chosen episodes of an evaluation, which are played once more and stored as traces.
 
 In: the result of an evaluation and its document. Out: ``traces.npz`` with the first episode of each
-scene and the first failures, of every policy and baseline; pictures are drawn from the traces.
+scene, the most telling one and the first failures, of every policy and baseline; pictures are drawn
+from the traces.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +20,14 @@ from flipperctl.evaluation.names import names
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import EpisodeRunner, Progress
 from flipperctl.evaluation.replay import risks
-from flipperctl.evaluation.rows import DIGEST, Row
+from flipperctl.evaluation.rows import DIGEST, Row, reached, telling
 from flipperctl.rollout.trace import Trace, read, write
 from flipperctl.views.summary import Document, named
 
 FAILURES = 2
 """Largest number of failures of a policy on a scene that are traced [-]."""
 MOST = 200
-"""Largest number of traces of an evaluation; first episodes precede failures [-]."""
+"""Largest number of traces of an evaluation; failures come last [-]."""
 _Key = tuple[str, str, int, int, str]
 
 
@@ -49,20 +51,32 @@ class Chosen:
 
 
 def choose(result: Result, document: Document) -> list[Chosen]:
-    """Return the episodes of a result to trace: first ones, and then failures."""
+    """Return the episodes of a result to trace: first ones, the most telling ones, failures."""
     first: dict[_Key, Chosen] = {}
+    shown: dict[_Key, Chosen] = {}
     failed: dict[_Key, Chosen] = {}
+    # All policies of a scene have one telling episode.
+    played_on: dict[Any, list[Row]] = {}
+    for item in result.played:
+        played_on.setdefault(item.entry.ground, []).extend(item.episodes)
+    best = {
+        ground: telling(
+            (row["episode"], reached(row), row["pitch_variation_100hz"]) for row in rows
+        )
+        for ground, rows in played_on.items()
+    }
 
     def add(played: Played, scene: str, policy: str) -> None:
         if played.entry.stored:  # another evaluation's policy, which may not be here
             return
-        # An episode that is a first one is no failure again.
+        # An episode is chosen once.
         for choice, rows in (
             (first, played.episodes[:1]),
+            (shown, played.episodes.where(lambda row: row["episode"] == best[played.entry.ground])),
             (failed, played.episodes.failed[:FAILURES]),
         ):
             episodes = [Chosen(played.entry, row, policy, scene) for row in rows]
-            choice.update({c.key: c for c in episodes if c.key not in first})
+            choice.update({c.key: c for c in episodes if c.key not in first | shown})
 
     # Baselines after the policy that they are compared with
     scenes = named(document)
@@ -72,7 +86,7 @@ def choose(result: Result, document: Document) -> list[Chosen]:
         add(item, scene, called[summary.get("method") or summary["controller"]] + seed)
         for other in [] if result.plan.has_methods else result.baselines(item):
             add(other, scene, other.entry.label)
-    return [*first.values(), *failed.values()][:MOST]
+    return [*first.values(), *shown.values(), *failed.values()][:MOST]
 
 
 class Traces:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Robot
-from flipperctl.text.messages import unit
+from flipperctl.text.messages import spans, unit
 from flipperctl.text.show import NONE, Column, Table, console, print_lines, print_table, print_text
 
 _PLUGINS = (
@@ -61,12 +61,17 @@ _PROFILES = (
 
 def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None) -> None:
     """Print a row for each profile (``figures.terrain.sample``), and the picture's name."""
-    rows = []
+    # Seeds of the same ground share a row.
+    seeds: dict[str, list[int]] = {}
+    cells: dict[str, dict[str, Any]] = {}
     for row in numbers:
         drawn = ", ".join(f"{name} {value:.4g}" for name, value in row["drawn"].items())
-        rows.append(row | {"seed": str(row["seed"]), "drawn": drawn})
-    if len(numbers) > 1 and all(row["points"] == numbers[0]["points"] for row in numbers):
-        rows = [rows[0] | {"seed": "any"}]  # nothing about the terrain is random
+        key = f"{row['points']} {drawn}"
+        seeds.setdefault(key, []).append(row["seed"])
+        cells.setdefault(key, row | {"drawn": drawn})
+    rows = [row | {"seed": spans(seeds[key])} for key, row in cells.items()]
+    if len(numbers) > len(rows) == 1:
+        rows[0]["seed"] = "any"  # nothing about the terrain is random
     columns = [column for column in _PROFILES if any(row[column.key] for row in rows)]
     print_table(Table(columns, rows, name), console())
     if any(row["points_drawn"] > len(row["points"]) for row in numbers):

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from flipperctl.api import Controller, FloatArray, Measure, registry
+from flipperctl.api import Controller, FloatArray, Measure, Outcome, registry
 from flipperctl.env.metrics import CORE
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.names import renamed, taken
+from flipperctl.evaluation.rows import telling
 from flipperctl.evaluation.seeds import (
     SeedSamples,
     difference_interval,
@@ -31,7 +32,7 @@ from flipperctl.figures.figure import SUCCESS, VARIATION
 from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import read as read_traces
-from flipperctl.text.messages import unknown
+from flipperctl.text.messages import spans, unknown
 from flipperctl.views import compare
 from flipperctl.views.summary import named
 
@@ -61,7 +62,7 @@ class Request:
     scene: str | None = None
     """Scene of an episode, by default the first."""
     episode: int | None = None
-    """Index of an episode, by default the first that was traced."""
+    """Index of an episode, by default the most telling one; see ``rows.telling``."""
     width: float | None = None
     """[in]; None: the kind's own."""
 
@@ -215,10 +216,13 @@ def _heat(request: Request) -> tuple[Figure, Sequence[str]]:
     return heat_figure(rows, metric, **request.sized()), notices
 
 
-def episodes(request: Request) -> tuple[list[Trace], list[str], dict[str, int]]:
-    """Return a trace of each method on one episode, the methods' names, and their looks.
+def episodes(
+    request: Request,
+) -> tuple[list[Trace], list[str], dict[str, int], list[str]]:
+    """Return a trace of each method on one episode, the methods' names and looks, and notices.
 
-    A method with several training seeds has the trace of the first one.
+    A method with several training seeds has the trace of the first one. By default, the episode is
+    the most telling one among those with traces of all methods. Notices say which ones it lacks.
 
     Raises:
         RequestError: there are no traces, or none of this scene, episode or method.
@@ -231,20 +235,41 @@ def episodes(request: Request) -> tuple[list[Trace], list[str], dict[str, int]]:
                 f"{file}: there is no such file; the eval --output of this folder writes it, again"
             )
         traces += read_traces(file)
-    # One episode, which all methods must have
     scene = _one_of("--scene", request.scene, [trace.scene for trace in traces])
-    traces = [trace for trace in traces if trace.scene == scene]
-    number = _one_of(
-        "--episode", None if request.episode is None else str(request.episode),
-        [str(trace.episode) for trace in traces],
-    )  # fmt: skip
-    by_policy = {t.policy: t for t in traces if str(t.episode) == number}
-    # A method's first training seed stands for it.
-    first: dict[str, Trace] = {}
-    for policy, trace in by_policy.items():
-        first.setdefault(policy.partition(", seed ")[0], trace)
-    called = request.called(list(first))
-    return [first[label] for label in called], list(called.values()), request.places(list(first))
+    # The traces of each method on this scene by episode, of its first training seed
+    by_method: dict[str, dict[int, Trace]] = {}
+    for trace in traces:
+        if trace.scene == scene:
+            method = by_method.setdefault(trace.policy.partition(", seed ")[0], {})
+            method.setdefault(trace.episode, trace)
+    called = request.called(list(by_method))
+    known = [*dict.fromkeys(index for label in called for index in by_method[label])]
+    if request.episode is not None:
+        wanted = str(request.episode)
+        number = int(_one_of("--episode", wanted, [str(index) for index in sorted(known)]))
+    else:
+        counts = {i: sum(i in by_method[label] for label in called) for i in known}
+        number = telling(
+            (index, trace.outcome == Outcome.REACHED, float(np.abs(np.diff(trace.pitch)).sum()))
+            for label in called
+            for index, trace in by_method[label].items()
+            if counts[index] == max(counts.values())
+        )
+    lacking = [label for label in called if number not in by_method[label]]
+    notices = [
+        f"{scene}, episode {number}: there is no trace of {called[label]}, whose traces are of "
+        f"{spans(sorted(by_method[label]))}"
+        for label in lacking
+    ]
+    if lacking and request.only:
+        raise RequestError(f"--only: {notices[0]}")
+    drawn = [label for label in called if label not in lacking]
+    return (
+        [by_method[label][number] for label in drawn],
+        [called[label] for label in drawn],
+        request.places(list(by_method)),
+        notices,
+    )
 
 
 def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
@@ -293,15 +318,15 @@ def _profiles(request: Request) -> tuple[Figure, Sequence[str]]:
 def _series(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.episode import series_figure
 
-    traces, names, places = episodes(request)
-    return series_figure(traces, names, places=places, **request.sized()), ()
+    traces, names, places, notices = episodes(request)
+    return series_figure(traces, names, places=places, **request.sized()), notices
 
 
 def _poses(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.episode import poses_figure
 
-    traces, names, _ = episodes(request)
-    return poses_figure(traces, names, **request.sized()), ()
+    traces, names, _, notices = episodes(request)
+    return poses_figure(traces, names, **request.sized()), notices
 
 
 KINDS: dict[str, Callable[[Request], tuple[Figure, Sequence[str]]]] = {

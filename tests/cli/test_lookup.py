@@ -110,7 +110,8 @@ def test_a_contact_sheet_of_the_terrains(tmp_path: Path) -> None:
     drawn = re.findall(r"<!-- (\w+) -->", text)
     assert set(drawn) >= {*names} - {"profile_file"}  # which needs a file
     assert drawn.index("wave") < drawn.index("all_courses")  # those made of others come last
-    assert text.count("<!-- 1 m -->") == len(names) - 1
+    assert text.count("<!-- 1 m -->") == -(-(len(names) - 1) // 4)  # in each row
+    assert text.count("<!-- goes on → -->") == 4  # rough, stairwell, course and midway
 
 
 def test_a_word_of_another_tool_leads_to_ours_below_a_section_too(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """``plot``: figures of runs, results and maps, and what it refuses."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -180,9 +181,19 @@ def test_policies_on_one_episode(here: Path) -> None:
     assert [text.get_text() for text in first.texts] == [
         "0.0 s", "2.0 s", "4.0 s", "6.0 s", "8.0 s", "10.0 s",
     ]  # fmt: skip
+    # A failure comes after an episode that both finish; of these, the pitch of 2 varies.
+    shaken = replace(traced("level"), episode=2, pitch=np.sin(np.linspace(0, 9, 201)))
+    other = [replace(trace, episode=index) for index in (1, 2) for trace in every[1:2]]
+    lone = [replace(traced("level"), episode=index) for index in (1, 7)]
+    write_traces(here / "judged/traces.npz", [*every, *other, shaken, *lone])
+    first, second = drawn(here, "judged", kind="series").axes[0].get_lines()
+    assert np.ptp(np.asarray(second.get_ydata())) > 90
+    done = call("plot", "judged", "--kind", "poses", "--episode", "7", cwd=here)
+    assert "step, episode 7: there is no trace of mlp, whose traces are of 0 to 2" in done.err
     for words, text in (
+        (["--episode", "7", "--only", "mlp", "--only", "level"], "there is no trace of mlp, whose"),
         (["--scene", "stair"], "--scene: there is no trace of 'stair'; known: step"),
-        (["--episode", "7"], "--episode: there is no trace of '7'; known: 0"),
+        (["--episode", "9"], "--episode: there is no trace of '9'; known: 0, 1, 2, 7"),
         (["--only", "lev"], "did you mean 'level'?"),
     ):
         assert text in refused("plot", "judged", "--kind", "poses", *words, cwd=here)

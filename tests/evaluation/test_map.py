@@ -116,11 +116,13 @@ def test_an_interrupted_map_has_the_finished_points() -> None:
     ]
 
 
-def test_the_boundary_lies_halfway_between_success_and_failure() -> None:
-    first, second = [0.1, 0.2, 0.3], [0.5, 1.0]
-    (line,) = boundary(first, second, np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
-    assert sorted(map(tuple, line.round(6).tolist())) == [(0.15, 1.0), (0.2, 0.75), (0.25, 0.5)]
-    assert boundary(first, second, np.ones((2, 3))) == []
+def test_the_boundary_runs_between_points_of_success_and_failure() -> None:
+    first, second = [0.1, 0.2, 0.4], [0.5, 1.0]
+    edges = boundary(first, second, np.array([[1.0, 0.5, 0.4], [1.0, 0.0, np.nan]]))
+    assert edges.round(6).tolist() == [
+        [[0.3, 0.25], [0.3, 0.75]], [[0.15, 0.75], [0.15, 1.25]], [[0.15, 0.75], [0.3, 0.75]],
+    ]  # fmt: skip
+    assert len(boundary(first, second, np.ones((2, 3)))) == 0
 
 
 def test_a_range_and_its_number_of_values() -> None:

@@ -18,10 +18,10 @@ from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Entry
-from flipperctl.figures.episode import episode_figure
+from flipperctl.figures.episode import episode_figure, spread
 from flipperctl.figures.figure import save
 from flipperctl.figures.render import BELT, Renderer
-from flipperctl.figures.terrain import terrain_figure
+from flipperctl.figures.terrain import contact_sheet, terrain_figure
 from flipperctl.policies.source import PolicySource
 from flipperctl.requests.evaluation import picture_names
 from flipperctl.rollout.trace import Trace
@@ -65,8 +65,31 @@ def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> 
     assert figure.get_supxlabel() == "7 more samples are not shown"
     few = terrain_figure([STEP] * 6, ROBOT)  # five small ones, which fill two rows
     assert few.axes[1].get_subplotspec().get_gridspec().ncols == 3
+    assert few.axes[1].get_xlim() == pytest.approx((-0.5, 2.5))
+    assert few.axes[1].get_ylim() == pytest.approx((-0.15, 0.45))
+    up, down = Profile([(0, 0), (0, 0.4)]), Profile([(5, 1), (5, 0.8)])
+    _, rising, falling = terrain_figure([STEP, up, down], ROBOT).axes
+    assert rising.get_ylim() == pytest.approx((-0.2 - 0.15, 0.4 + 0.15))
+    assert np.subtract(falling.get_ylim(), rising.get_ylim()) == pytest.approx(1.0)  # one base line
     point, drop = Profile([(0, 0)]), Profile([(0, 0), (0, -0.4)])
     save(terrain_figure([point, drop], ROBOT), tmp_path / "odd.png")
+
+
+def test_pictures_of_a_contact_sheet_have_one_scale() -> None:
+    high = Profile([(0, 0), (0, 9.0)])
+    figure = contact_sheet({"step": STEP, "high": high, "point": Profile([(0, 0)])}, ROBOT)
+    figure.draw_without_rendering()
+    sizes = [axes.get_window_extent().size for axes in figure.axes]
+    extents = [(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())) for axes in figure.axes]
+    scales = np.divide(sizes, extents)
+    assert scales == pytest.approx(np.full((3, 2), scales[0, 0]))
+    words = [[text.get_text() for text in axes.texts] for axes in figure.axes]
+    assert words == [["1 m"], ["goes on ↑"], []]
+
+
+def test_times_of_poses_stay_apart_and_near_their_poses() -> None:
+    assert spread([0.0, 1.0, 1.2, 5.0], 1.0) == pytest.approx([-0.2666667, 0.7333333, 1.7333333, 5])
+    assert spread([], 1.0) == []
 
 
 def test_episode_marks_the_same_poses_in_both_panels() -> None:

@@ -71,7 +71,7 @@ def again(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return played
 
 
-def test_eval_traces_first_episodes_and_two_failures_and_plays_them_once(
+def test_eval_traces_first_and_telling_episodes_and_two_failures_and_plays_them_once(
     tmp_path: Path, again: list[int]
 ) -> None:
     words = ("eval", "level", *HIGH, "--baseline", "okada", "--output", "out")
@@ -79,9 +79,9 @@ def test_eval_traces_first_episodes_and_two_failures_and_plays_them_once(
     assert done.code == 0, done.err
     found = read(tmp_path / "out" / TRACES)
     named = [(one.policy, one.scene, one.episode) for one in found]
-    # okada crosses all; the first failure of level is its first episode.
-    assert named == [("level", "step", 0), ("okada", "step", 0), ("level", "step", 1)]
-    assert again == [0, 1, 0]
+    # okada crosses all; in episode 1 the pitch varies most, and level fails in both.
+    assert named == [(who, "step", index) for index in (0, 1) for who in ("level", "okada")]
+    assert again == [0, 1, 0, 1]
     rows = json.loads((tmp_path / "out" / "summary.json").read_text())["scenes"][0]
     assert found[2].outcome == "stuck"
     assert rows["outcomes"]["stuck"] == 4

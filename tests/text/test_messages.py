@@ -10,7 +10,7 @@ from flipperctl.api.plugin import Plugin
 from flipperctl.errors import MissingExtraError, missing_package
 from flipperctl.plugging.guard import naming
 from flipperctl.text.elsewhere import called_here
-from flipperctl.text.messages import close_match, closest, explain_unknown_key
+from flipperctl.text.messages import close_match, closest, explain_unknown_key, spans
 from tests.cli.call import COMMANDS
 
 PLUGINS = sorted(name for _, name in registry)
@@ -73,3 +73,8 @@ def test_a_plugin_in_the_current_folder_is_named(
     Path("calm.py").touch()
     text = explain_unknown_key("rewards.calm", {"rewards": {"end": {}}})
     assert "(calm.py is here: add --plugins calm.py)" in text
+
+
+def test_three_numbers_in_a_row_are_a_span() -> None:
+    assert spans([0]) == "0"
+    assert spans([0, 1, 3, 4, 5]) == "0, 1, 3 to 5"
