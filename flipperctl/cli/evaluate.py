@@ -274,7 +274,9 @@ def compare(
     ],
     against: Annotated[
         str | None,
-        typer.Option(metavar="METHOD", help="Compare with this method, else the first, or all."),
+        typer.Option(
+            metavar="METHOD", help="Method to compare with, else level, else the first; or all."
+        ),
     ] = None,
     measure: Annotated[
         str, typer.Option(metavar="NAME", help="The measure of the score; less is better.")

@@ -73,6 +73,10 @@ class _Run:
             return not self.digests.isdisjoint(other.digests)
         return self.episodes == other.episodes
 
+    def differs(self, other: _Run) -> bool:
+        """Return whether another folder's run was trained with other settings, seeds apart."""
+        return self.folder != other.folder and self.training != other.training
+
     def contradicts(self, other: _Run) -> bool:
         """Return whether the results of both differ on an episode that both played."""
         return any(
@@ -212,6 +216,9 @@ class _Reader:
         for label, run in policies.items():
             leads = run is first or bool(run.method and run.method == first.method)
             method = name if name and leads else run.method or label
+            # Sweeps of one folder tell their methods apart, those of two may use one name twice.
+            if method == run.method and any(run.differs(k) for k in self._runs.get(method, ())):
+                method = f"{folder}/{method}"
             mixed = method in self._runs and run.is_rule != (method in self._untrained)
             if is_seed and run is first and mixed:
                 rule = label if run.is_rule else "of another folder"

@@ -232,8 +232,7 @@ class _Files:
 
 def episode_rows(result: Result) -> Iterator[Row]:
     """Yield a flat row per episode; in each scene the policy's precede its baselines'."""
-    # A policy is called as on the screen; the label beside it is its file. A method of several
-    # seeds, among the entry's names, keeps its own, by which ``compare`` pools them.
+    # A policy is called as on the screen; the label beside it is its file.
     labels = [item.entry.method or item.entry.label for item in result.played]
     called = short_names(list(dict.fromkeys(labels)))
     for item, label in zip(result.played, labels, strict=True):
@@ -243,7 +242,7 @@ def episode_rows(result: Result) -> Iterator[Row]:
         conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
         for row in item.episodes:
             numbers = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
-            yield {**who, **numbers, **conditions, **policy, **entry.names}
+            yield {**who, **numbers, **conditions, **policy, **entry.names, **who}
 
 
 def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]]:

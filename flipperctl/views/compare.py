@@ -7,7 +7,7 @@ document and tables.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,7 +88,7 @@ def compare(
 ) -> Comparison:
     """Read the methods of ``DIR`` or ``METHOD=DIR``.
 
-    ``against``: the method to compare with, by default the first; ``all`` for every pair.
+    ``against``: the method to compare with, else ``usual``; ``all`` for every pair.
     ``called``: names of methods, ``NAME=METHOD``.
     """
     # A score counts failures, which needs a price in the measure's unit.
@@ -112,9 +112,12 @@ def compare(
     names = shown_names([method.name for method in methods])
     if against is not None and against != ALL:
         against = taken(against, names, "--against", further=[ALL])
-    return Comparison(
-        stored, measure, measure_class.unit, price or PRICE, against or next(iter(names))
-    )
+    return Comparison(stored, measure, measure_class.unit, price or PRICE, against or usual(names))
+
+
+def usual(methods: Mapping[str, str]) -> str:
+    """Return the method that others are compared with, unless a user names one."""
+    return "level" if "level" in methods else next(iter(methods))
 
 
 def document(comparison: Comparison) -> Document:
@@ -231,8 +234,14 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
             texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
             gaps.append(gap | {"name": name, "other": called[gap["against"]], **texts})
     price = f"{compared['price']:.4g}"
-    notes = [f"Score: {label}; a failed episode counts {price}, and a crossing at most that."]
-    yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
+    notes = [
+        f"Score: {label}; a failed episode counts {price}, and a crossing at most that. Its "
+        "interval allows for failures that so few episodes need not show."
+    ]
+    # Of fewer than four mean scores, the interquartile mean is the mean.
+    same = all(m["iqm"]["mean"] == m["score"]["mean"] for m in compared["methods"])
+    columns = [column for column in _METHODS if not (same and column.key == "iqm")]
+    yield Table(columns, rows, f"Episodes of each seed: {episodes}", notes)
     if gaps:
         title = "Differences on the same episodes; a smaller score is better"
         note = f"p: Holm's correction for {counted(len(gaps), 'difference')}."

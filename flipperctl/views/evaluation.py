@@ -461,7 +461,7 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
         for label, numbers in ((first, scene), *((other["controller"], other) for other in others)):
             row: Row = {
                 "scene": scene["terrain"],
-                "method": method or called[label],
+                "method": called[method or label],
                 "controller": label,
                 "n": numbers["episodes"],
                 "reached": numbers["outcomes"]["reached"],

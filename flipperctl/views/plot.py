@@ -293,8 +293,8 @@ def _differences(request: Request) -> tuple[Figure, Sequence[str]]:
     comparison, called, places = compared(request)
     if len(called) < 2:
         raise RequestError(f"{request.folders[0]}: two methods are needed for differences")
-    usual = "level" if "level" in called else next(iter(called))
-    against = taken(request.against, called, "--against") if request.against else usual
+    named = taken(request.against, called, "--against") if request.against else None
+    against = named or compare.usual(called)
     rows, scenes = (
         list(differences(comparison, called, comparison.measure, against)),
         request.scenes(),

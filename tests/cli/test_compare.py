@@ -72,6 +72,7 @@ def test_a_folder_of_folders_is_a_method_with_a_training_seed_in_each(seeds: Pat
     assert rows["plain"]["comparison"]["improvement"] == 1.0
     assert rows["searched"]["comparison"]["success"]["lost"] == 1
     assert rows["level"]["comparison"] is None
+    assert compared(*arguments[:2], cwd=seeds)["plain"]["comparison"]["against"] == "level"
 
 
 def test_tables_on_the_terminal_and_in_latex(seeds: Path) -> None:
@@ -204,3 +205,17 @@ def test_an_evaluation_of_a_sweep_has_the_seeds_of_its_methods(tmp_path: Path) -
     write(tmp_path / "judged", values, more)
     assert seeds_of("judged", cwd=tmp_path) == {"s/a": 2, "s/b": 2, "level": 1}
     assert seeds_of("mine=judged", cwd=tmp_path) == {"mine": 2, "s/b": 2, "level": 1}
+
+
+def test_methods_of_one_name_are_one_if_they_were_trained_alike(tmp_path: Path) -> None:
+    """The name is that of the screen, such as what one sweep calls its network."""
+    for folder, training, seeds in (("a", "t1", (1, 2)), ("b", "t1", (3, 4)), ("c", "t2", (1, 2))):
+        more = {f"{folder}/{n}": (f"d{folder}{n}", n, training, "mlp") for n in seeds}
+        write(tmp_path / folder, dict.fromkeys(more, 1.0), more)
+    assert seeds_of("a", "b", "c", cwd=tmp_path) == {"mlp": 4, "c/mlp": 2}
+
+
+def test_an_interquartile_mean_that_is_the_mean_is_left_out(seeds: Path) -> None:
+    assert "IQM" not in call("compare", "plain", cwd=seeds).out
+    write(seeds / "plain" / "3", {"runs/3/best": 2.0, "level": 2.0})
+    assert "IQM" in call("compare", "plain", cwd=seeds).out

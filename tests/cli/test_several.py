@@ -214,8 +214,7 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(sweep: Path) -> None
     for file in ("episodes.csv", "table.csv"):
         rows = list(csv.DictReader((Path("out") / file).read_text().splitlines()))
         assert {row["training_seed"] for row in rows} == {"4", "9", ""}  # a rule has none
-    rows = list(csv.DictReader((Path("out") / "episodes.csv").read_text().splitlines()))
-    assert {row["method"] for row in rows} == {"sweep", "level", "geometric"}
+        assert {row["method"] for row in rows} == {"sweep", "level", "geometric"}
 
 
 def test_runs_of_one_seed_that_began_with_several_runs_are_several_methods(sweep: Path) -> None:
