@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 from sphinx.application import Sphinx
+from sphinx.config import Config
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -34,15 +35,27 @@ html_copy_source = False
 html_show_copyright = False
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
-html_search_scorer = str(Path(__file__).parent / "_static/scorer.js")
 
 
 def setup(app: Sphinx) -> None:
     """Fill in what is generated from the code."""
+    app.connect("config-inited", _rank)
     app.connect("source-read", _fill)
     app.connect("html-page-context", _typeset)
     app.connect("autodoc-process-signature", _leave_out_fields)
     app.connect("autodoc-process-docstring", _mark_errors)
+
+
+def _rank(app: Sphinx, config: Config) -> None:
+    """Let the search order pages that fit equally as the contents do."""
+    contents = "".join(
+        re.findall(r"```{toctree}(.*?)```", (Path(app.srcdir) / "index.md").read_text(), re.S)
+    )
+    scorer = Path(app.doctreedir) / "scorer.js"
+    scorer.parent.mkdir(parents=True, exist_ok=True)
+    rules = (Path(app.srcdir) / "scorer.js").read_text()
+    scorer.write_text(f"const PAGES = {re.findall(r'^[a-z_/]+$', contents, re.M)};\n{rules}")
+    config.html_search_scorer = str(scorer)
 
 
 def _fill(app: Sphinx, page: str, source: list[str]) -> None:

@@ -8,6 +8,7 @@ processes cannot find.
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -24,6 +25,7 @@ from flipperctl.requests.request import Requests, from_values
 from flipperctl.requests.text import from_words
 from flipperctl.terminal.streams import begin_notices
 from flipperctl.text.files import at_home
+from flipperctl.text.messages import close_match
 
 Paths = Sequence[str | os.PathLike[str]]
 
@@ -59,9 +61,16 @@ def deciding(function: Callable[P, T]) -> Callable[P, T]:
 def _door(
     function: Callable[P, T], context: Callable[[], AbstractContextManager[None]]
 ) -> Callable[P, T]:
+    arguments = inspect.signature(function).parameters
+
     @functools.wraps(function)
     def door(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
+            # A word that is no setting may be meant as an argument.
+            for word in kwargs:
+                known = word in arguments or word in TrainConfig.model_fields
+                if not known and (meant := close_match(word, arguments)):
+                    raise ConfigError(f"{word}: there is no such argument{meant}")
             with context():
                 return function(*at_home(args), **at_home(kwargs))
         except RequestError as error:

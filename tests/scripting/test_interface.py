@@ -107,6 +107,7 @@ def test_a_directory_with_a_run_is_refused_and_resumed(shown: tuple[Path, dict[s
         ({"overrides": ["hydra/launcher=joblib"]}, "hydra/launcher: a training from Python"),
         ({"plugins": "ridge.py"}, "plugins: a list"),
         ({"seed": 1, "overrides": ["seed=2"]}, "seed is given twice"),
+        ({"override": ["seed=2"]}, r"override: .*argument \(did you mean 'overrides'\?\)$"),
     ],
 )
 def test_a_wrong_training_is_refused_in_one_line(request_: dict, text: str) -> None:

@@ -230,7 +230,8 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     left = len(shown) - _ROWS
     more = f"{counted(left, 'more row')} and the table" if left > 0 else "the table"
     text = f"{more}: {quote_path(folder / FILE)}"
-    ranges = ["In parentheses: the least and the largest of the runs."] * pooled
+    is_range = any("(" in row["variation"] for row in rows)
+    ranges = ["In parentheses: the least and the largest of the runs."] * is_range
     print_lines(out, [*ranges, text])
 
 
