@@ -355,7 +355,9 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
             name = part if column is shown[0] else ""
             bar = _bar(row, column, group) if kind == "number" else ""
             said = with_minus(text) if kind == "number" else text
-            inner.append(f'<td class="{kind}">{dot}{escape(name + said)}{bar}</td>')
+            # A narrow page breaks a line before an interval, not within it.
+            words = re.sub(r"\[[^]]*\]", r'<span class="option">\g<0></span>', escape(name + said))
+            inner.append(f'<td class="{kind}">{dot}{words}{bar}</td>')
         body.append(f'<tr class="{"part" * bool(row.get("dim"))}"{style}>{"".join(inner)}</tr>')
         # The axis of the bars stands below the last row of its group.
         scales = [
