@@ -280,11 +280,14 @@ def disagreements() -> Iterator[str]:
     if packages != (listed := set(document["tool"]["setuptools"]["packages"])):
         yield f"pyproject.toml and the folders differ in the packages {sorted(packages ^ listed)}"
 
-    # Versions and sizes.
-    package, version = ROOT / "examples" / "ros2" / "flipperctl_ros", project["version"]
+    # Versions and sizes. What is not released yet is a version in development.
+    package = ROOT / "examples" / "ros2" / "flipperctl_ros"
+    changes = (ROOT / "CHANGELOG.md").read_text()
+    version = re.findall(r"^## \[(.+)\] - ", changes, re.M)[0]
+    if (project["version"] != version) != ("\n## Unreleased\n" in changes):
+        yield f"CHANGELOG.md: {version} is the newest, and pyproject.toml has {project['version']}"
     for file, text in (
         (ROOT / "CITATION.cff", f"\nversion: {version}\n"),
-        (ROOT / "CHANGELOG.md", f"\n## [{version}] - "),
         (package / "package.xml", f"<version>{version}</version>"),
         (package / "setup.py", f'version="{version}"'),
     ):
