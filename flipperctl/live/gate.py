@@ -16,9 +16,9 @@ import os
 import secrets
 import socket
 import threading
-from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import redirect_stdout
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import parse_qs
@@ -36,22 +36,13 @@ if TYPE_CHECKING:
     Answer = Callable[[ServerConnection, Request], Response | None]
 
 _HOST = "127.0.0.1"  # this machine alone is served
-_MOST_CLIENTS = 16
-_MOST_PENDING = 100
-"""Messages without a key that may wait for one client [-]."""
-_LONGEST = 600
-"""Length of a message to the control socket [bytes]."""
-_PER_SECOND = 100
-"""Messages that one client may send in a second [-]."""
 _FRAME = 2**16
 """Largest message that is received at all, by viser's socket as well [bytes]."""
 _SEND_BUFFER = 2**16
 """The system's buffer for a control client; it bounds how old a slow client's messages are."""
-_MOST_UNREAD = 2**22
-"""Answers to pings, above all, that a client may leave unread [bytes]."""
 _PATIENCE = 1.0
 """Time that a client has to answer the end of its connection [s]."""
-_REFUSED, _TOO_BIG, _FAILED, _LATER = 1008, 1009, 1011, 1013  # close codes of RFC 6455 and IANA
+_REFUSED, _FAILED = 1008, 1011  # close codes of RFC 6455
 _HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
@@ -85,30 +76,19 @@ class Control(Protocol):
         """Take note of a new client."""
 
     def received(self, client: int, message: str) -> None:
-        """Take a message of at most 600 bytes, whatever it contains."""
+        """Take a message of the page; ``ValueError`` if it is none, which closes the connection."""
 
     def closed(self, client: int) -> None:
         """Take note that a client is gone."""
 
 
+@dataclass
 class _Client:
     """A browser at the control socket, and the messages that wait for it."""
 
-    def __init__(self, connection: ServerConnection) -> None:
-        self.connection = connection
-        self.pending: dict[str | int, str | bytes] = {}
-        self.wake = asyncio.Event()
-        self.full = False
-        self.ending: asyncio.Task[None] | None = None
-
-    def hurry(self) -> None:
-        """Send what is pending, or close the connection if that became too much."""
-        self.wake.set()
-        if self.connection.transport.get_write_buffer_size() > _MOST_UNREAD:
-            self.connection.transport.abort()
-        elif self.full and self.ending is None:
-            closing = _close(self.connection, _REFUSED, "too many pending messages")
-            self.ending = asyncio.ensure_future(closing)
+    connection: ServerConnection
+    pending: dict[str | int, str | bytes] = field(default_factory=dict)
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
 
 
 class Gate:
@@ -198,24 +178,19 @@ class Gate:
         """Send a message to one client of the control socket, or to all; return at once.
 
         A pending message of the same key is replaced and the new one keeps its place, so that a
-        slow client gets the newest state. Messages without a key keep their order; a client for
-        which more than 100 of them are pending is closed. Any thread may call it.
+        slow client gets the newest state. Messages without a key keep their order. Any thread may
+        call it.
         """
-        # The newest message of each key, and every message without one
         with self._lock:
-            receivers = [c for n, c in self._clients.items() if client in (None, n) and not c.full]
+            receivers = [c for n, c in self._clients.items() if client in (None, n)]
             for receiver in receivers:
-                waiting = sum(isinstance(k, int) for k in receiver.pending) if key is None else 0
-                if waiting >= _MOST_PENDING:
-                    receiver.full = True
-                else:
-                    receiver.pending[next(self._order) if key is None else key] = message
+                receiver.pending[next(self._order) if key is None else key] = message
 
         # Clients live in the server's thread.
         if self._loop is not None:
             try:
                 for receiver in receivers:
-                    self._loop.call_soon_threadsafe(receiver.hurry)
+                    self._loop.call_soon_threadsafe(receiver.wake.set)
             except RuntimeError:  # the server stopped meanwhile
                 return
 
@@ -331,9 +306,6 @@ class Gate:
 
         control = self._control
         assert control is not None
-        if len(self._clients) >= _MOST_CLIENTS:
-            await _close(connection, _LATER, f"{_MOST_CLIENTS} clients are connected")
-            return
         # Little may wait in the system, so that a slow client gets the newest state soon.
         peer = connection.transport.get_extra_info("socket")
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
@@ -346,9 +318,12 @@ class Gate:
         code, reason = 1000, ""
         try:
             control.opened(number)
-            code, reason = await self._receive(number, client)
+            async for message in connection:
+                control.received(number, str(message))
         except ConnectionClosed:
             pass
+        except ValueError:
+            code, reason = _REFUSED, "this is no message of the page"
         except Exception:  # noqa: BLE001 - a fault of one client must not end the others
             _log.exception("the control of a live page failed; its client is closed")
             code, reason = _FAILED, "the server failed"
@@ -356,34 +331,8 @@ class Gate:
             with self._lock:
                 del self._clients[number]
             sender.cancel()
-            try:
-                control.closed(number)
-            except Exception:  # noqa: BLE001 - as above
-                if code != _FAILED:
-                    _log.exception("the control of a live page failed at the end of a client")
-        await _close(connection, code, reason)
-
-    async def _receive(self, number: int, client: _Client) -> tuple[int, str]:
-        """Hand on messages; return the close code and reason once a limit is passed."""
-        assert self._control is not None
-        # Parts of messages in the last second; a client may not send more in any second.
-        times: deque[float] = deque(maxlen=_PER_SECOND)  # [s]
-        while True:
-            message = ""
-            async for part in client.connection.recv_streaming():  # mostly one part
-                now = asyncio.get_running_loop().time()
-                if len(times) == _PER_SECOND and now - times[0] < 1:
-                    return _REFUSED, f"more than {_PER_SECOND} messages a second"
-                times.append(now)
-                if not isinstance(part, str):
-                    return _REFUSED, "binary messages are not understood"
-                message += part
-                if len(message.encode()) > _LONGEST:
-                    return _TOO_BIG, f"longer than {_LONGEST} bytes"
-            try:
-                self._control.received(number, message)
-            except ValueError:  # no message of the page
-                return _REFUSED, "this is no message of the page"
+            control.closed(number)
+        await connection.close(code, reason)
 
     async def _send(self, client: _Client) -> None:
         """Send what is pending, as fast as the client reads."""
@@ -399,14 +348,6 @@ class Gate:
                     await client.connection.send(message)
                 except ConnectionClosed:
                     return
-
-
-async def _close(connection: ServerConnection, code: int, reason: str) -> None:
-    """Close a connection in the proper way, or at once if the client does not read."""
-    try:
-        await asyncio.wait_for(connection.close(code, reason), _PATIENCE)
-    except TimeoutError:
-        connection.transport.abort()
 
 
 def _bind(port: int) -> socket.socket:
