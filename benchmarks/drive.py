@@ -132,7 +132,7 @@ class ScriptedOperator:
                 self.latencies.append(latency)
             # It stands while a flipper is more than a step away from where it shall be.
             self._forward(all(abs(self.value(n) - STEP * wanted[n]) < 1.5 * STEP for n in wanted))
-            targets = tab.evaluate("[state.front_target, state.rear_target]")  # its dashed lines
+            targets = tab.evaluate("state.targets")  # its dashed lines
             steps = {n: round(t / STEP) for n, t in zip(wanted, targets, strict=True)}
             due = [n for n in wanted if steps[n] != wanted[n]]
             if not due:

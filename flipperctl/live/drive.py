@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from flipperctl.api import (
-    ACTIONS,
     CameraWorld,
     Command,
     FloatArray,
@@ -30,6 +29,7 @@ from flipperctl.api import (
     World,
     action_index,
 )
+from flipperctl.core.targets import angles_of
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 from flipperctl.live.gate import Gate, page_file
@@ -209,7 +209,8 @@ class Person:
         self._page, self._env, self._helper, self._about = page, env, helper, about
         self._hands = Hands(env.robot, PERIOD, helped=helper is not None)
         self._scene = LiveScene(page.gate.server.scene)
-        self._proposed: tuple[float, float] = 0, 0
+        self._still = (0,) * len(env.robot.joints)
+        self._proposed: tuple[float, ...] = self._still
         self._pitch: float | None = None
         self._variation = 0.0
         self._heard: float | None = None
@@ -253,6 +254,7 @@ class Person:
             "finish": shown.finish,
             "shared": self._helper is not None,
             "cameras": self._cameras,
+            "joints": robot.joints,
             "step": robot.angle_step,
             "limit": robot.angle_limit,
             "flipper_speed": robot.flipper_speed,
@@ -280,10 +282,10 @@ class Person:
         """Show what is perceived, and ask the helper; the action has no effect."""
         if self._helper is not None:
             action = self._helper.act(p)
-            front, rear = action if isinstance(action, tuple) else ACTIONS[action]
-            self._proposed = front, rear
+            moves = self._env.drive.moves
+            self._proposed = action if isinstance(action, tuple) else moves[action]
         self._scene.perceive(p, self._env.state, self._env.map_points())
-        return action_index(0, 0)
+        return action_index(*self._still)
 
     def command(self, world: World) -> Command:
         """Show the world, wait for the next tick, and return what the person commands."""
@@ -299,9 +301,8 @@ class Person:
         # What the person's hands do at the tick itself
         if page.wished() == "again":
             raise AgainError
-        proposed, self._proposed = self._proposed, (0, 0)  # a turn of a decision counts once
-        front, rear = self._env.drive.targets
-        command, self._heard = self._hands.command((front, rear), state, proposed)
+        proposed, self._proposed = self._proposed, self._still  # a decision's turn counts once
+        command, self._heard = self._hands.command(self._env.drive.targets, state, proposed)
         self._phase = "held" if self._heard is None else "driving"
         # Without a driver the robot holds still, and after a while its clock stops, too.
         now = time.monotonic()
@@ -364,8 +365,8 @@ class Person:
             "front": state.front,
             "rear": state.rear,
             "belts": speed / robot.track_speed,
-            "front_target": drive.targets[0],
-            "rear_target": drive.targets[1],
+            "angles": angles_of(state),
+            "targets": drive.targets,
             "variation": self._variation,
             "left": max(0.0, drive.termination.finish - x),
             "who": {name: "person" if mine else "policy" for name, mine in owned.items()},

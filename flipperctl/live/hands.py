@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Annotated, Literal
+from collections.abc import Sequence
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
 from flipperctl.api import Command, Robot, RobotState
-from flipperctl.core.targets import TargetRule
+from flipperctl.core.targets import TargetRule, alike, angles_of, by_joint
 
 LOST = 0.2
 """Time without a message after which the operator counts as gone [s]."""
 _Share = Annotated[float, Field(ge=-1, le=1)]
 _Steps = Annotated[int, Field(ge=-1_000_000, le=1_000_000)]
+_Number = TypeVar("_Number")
+_PerJoint = Annotated[tuple[_Number, ...], Field(min_length=2, max_length=4)]
 
 
 class _Message(BaseModel):
@@ -31,14 +34,12 @@ class Asked(_Message):
     kind: Literal["hands"]
     at: Annotated[float, Field(ge=0, le=1e12)]
     """Time of the browser [ms]."""
-    front: _Share
-    """Held rate of the front flippers, as a share of their speed, up positive [-]."""
-    rear: _Share
+    rates: _PerJoint[_Share]
+    """Held rate of each joint, (J,), as a share of its speed, up positive [-]."""
     belts: _Share
     """Share of the belts' speed [-]."""
-    front_steps: _Steps
-    """Steps up minus steps down since the page was opened [-]."""
-    rear_steps: _Steps
+    steps: _PerJoint[_Steps]
+    """Steps of each joint up minus steps down since the page was opened, (J,) [-]."""
 
 
 class Do(_Message):
@@ -86,17 +87,23 @@ class Hands:
         self._lock = threading.Lock()
         self._asked: Asked | None = None
         self._came = 0.0
-        self._steps = 0, 0
-        self._held: tuple[float, float] | None = None
+        self._joints = len(robot.joints)
+        self._steps: tuple[int, ...] = (0,) * self._joints
+        self._held: tuple[float, ...] | None = None
         self._helped = helped
         self.owned = [not helped, not helped]
-        """Whether the operator commands the front and the rear flippers, and no policy."""
+        """Whether the operator commands the front and the rear pair, and no policy."""
 
     def hear(self, request: Asked) -> None:
-        """Take a message; steps that were pressed while nobody was present do not count."""
+        """Take a message; steps that were pressed while nobody was present do not count.
+
+        ``ValueError`` if it is of another number of joints.
+        """
+        if not len(request.rates) == len(request.steps) == self._joints:
+            raise ValueError(f"rates and steps of {self._joints} joints are allowed")
         with self._lock:
             if not self.present:
-                self._steps = request.front_steps, request.rear_steps
+                self._steps = request.steps
             self._asked, self._came = request, time.monotonic()
 
     @property
@@ -112,7 +119,7 @@ class Hands:
         """Forget what was pressed until now, as before a drive begins."""
         with self._lock:
             if self._asked is not None:
-                self._steps = self._asked.front_steps, self._asked.rear_steps
+                self._steps = self._asked.steps
 
     def leave(self) -> None:
         """Hold everything: the browser is gone, or another one drives."""
@@ -121,42 +128,44 @@ class Hands:
 
     def command(
         self,
-        targets: tuple[float, float],
+        targets: Sequence[float],
         state: RobotState,
-        proposed: tuple[float, float] = (0, 0),
+        proposed: Sequence[float],
     ) -> tuple[Command, float | None]:
         """Return the next command, and the time of the message that it is made from [ms].
 
-        ``targets``: last targets [rad]; ``proposed``: turns of this tick by a policy that helps.
-        The time is None while flippers and belts are held since nobody drives.
+        ``targets``: last targets, (J,) [rad]; ``proposed``: turns of this tick by a policy that
+        helps, (J,) [angle steps]. The time is None while flippers and belts are held since nobody
+        drives.
         """
         with self._lock:
             request, steps = self._asked, self._steps
             # Without a driver, the flippers stay where they were when this was noticed.
             if request is None or not self.present:
-                self._held = self._held or (state.front, state.rear)
-                return Command(*self._held, 0.0, *self._took()), None
+                self._held = self._held or angles_of(state)
+                return self._commanded(self._held, 0.0), None
             self._held = None
-            self._steps = now = request.front_steps, request.rear_steps
-        robot = self._robot
-        turns = []
-        rates = request.front, request.rear
-        # Pressed steps and held rates add up; a pair that is turned belongs to the operator from
-        # then on.
-        for i, (step, before, rate) in enumerate(zip(now, steps, rates, strict=True)):
-            turn = (step - before) * robot.angle_step
-            turn += rate * robot.flipper_speed * self._period
-            if turn:
-                self.owned[i] = True
-            turns.append(turn if self.owned[i] else proposed[i] * robot.angle_step)
-        angles = state.front, state.rear
-        turned = self._rule.next_targets(targets, angles, turns)
-        # A pair that nobody turns keeps its target.
-        front, rear = (
-            new if turn else old for new, old, turn in zip(turned, targets, turns, strict=True)
-        )
-        return Command(front, rear, request.belts, *self._took()), request.at
+            self._steps = now = request.steps
+        # Pressed steps and held rates add up; the pair of a flipper that is turned belongs to the
+        # operator from then on.
+        robot, half = self._robot, self._joints // 2
+        asked = [
+            (step - before) * robot.angle_step + rate * robot.flipper_speed * self._period
+            for step, before, rate in zip(now, steps, request.rates, strict=True)
+        ]
+        for end, pair in enumerate((asked[:half], asked[half:])):
+            self.owned[end] |= any(pair)
+        turns = [
+            turn if mine else proposal * robot.angle_step
+            for turn, mine, proposal in zip(
+                asked, alike(self.owned, self._joints), proposed, strict=True
+            )
+        ]
+        turned = self._rule.next_targets(targets, angles_of(state), turns)
+        # A flipper that nobody turns keeps its target.
+        new = [new if turn else old for new, old, turn in zip(turned, targets, turns, strict=True)]
+        return self._commanded(new, request.belts), request.at
 
-    def _took(self) -> tuple[float, float]:
+    def _commanded(self, angles: Sequence[float], belts: float) -> Command:
         front, rear = map(float, self.owned)
-        return front, rear
+        return Command(**by_joint(angles), belts=belts, took_front=front, took_rear=rear)

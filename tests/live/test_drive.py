@@ -41,7 +41,7 @@ class Session:
         load(())
         low = {"name": "step", "height": 0.1, "platform": 0.6}
         short = {"run_up": 0.8, "run_out": 0.3, "start_noise": 0}
-        robot = {"track_speed": 0.5}  # it drives in real time
+        robot = {"track_speed": 0.5, **settings.pop("robot", {})}  # it drives in real time
         self.config = EvalConfig(terrain=low, episode=short, robot=robot, **settings)
         self.folder = DriveFolder(folder / "anna", "script: test")
         self.page = DrivePage(0, "anna")
@@ -102,8 +102,10 @@ class Client:
 
     def hands(self, **hands: float) -> None:
         self.at += 1
-        plain = {"front": 0, "rear": 0, "belts": 0, "front_steps": 0, "rear_steps": 0}
-        self.send({"kind": "hands", "at": self.at, **plain, **hands})
+        names = self.scene["joints"]
+        rates, steps = ([hands.get(n + kind, 0) for n in names] for kind in ("", "_steps"))
+        asked = {"belts": hands.get("belts", 0), "rates": rates, "steps": steps}
+        self.send({"kind": "hands", "at": self.at, **asked})
 
     def do(self, what: str) -> None:
         self.send({"kind": "do", "what": what})
@@ -146,7 +148,7 @@ def test_a_drive_from_start_to_finish_is_an_episode(session: Session) -> None:
     assert (client.state["you"], watcher.state["you"]) == (True, False)
     watcher.hands(belts=-1, front_steps=4)  # who watches cannot drive
     client.next(lambda s: s["time"] > 1.5, belts=1, front_steps=2)
-    assert client.state["front_target"] == pytest.approx(2 * client.scene["step"])
+    assert client.state["targets"][0] == pytest.approx(2 * client.scene["step"])
     client.next(lambda s: s["phase"] == "over", belts=1, front_steps=2)
     assert client.state["outcome"] == "reached"
     client.do("next")
@@ -181,7 +183,7 @@ def test_a_lost_connection_holds_the_robot(
     again.hands(front_steps=5)
     again.do("begin")
     again.next(lambda s: s["phase"] == "driving", belts=1, front_steps=5)
-    assert again.state["front_target"] < 4 * again.scene["step"]  # pressed before it went on
+    assert again.state["targets"][0] < 4 * again.scene["step"]  # pressed before it went on
     again.next(lambda s: s["phase"] == "over", belts=1, front_steps=5)
     again.do("next")
     session.over()
@@ -212,6 +214,34 @@ def test_a_policy_turns_what_the_person_leaves(tmp_path: Path) -> None:
     assert 0 < row["taken"] < 0.5
     (record,) = session.folder.path.glob("*.json")
     assert replay(record).differences == []
+
+
+def test_four_flippers_are_driven_one_by_one_with_a_helper_for_a_pair(tmp_path: Path) -> None:
+    robot = {"flippers": "four"}
+    session = Session(
+        tmp_path, "okada_sides", sim="mujoco", robot=robot, perception={"sides": True}
+    )
+    with session.page.gate:
+        client, hands = Client(session), {"belts": 0.5, "front_left_steps": 1, "front_right": -0.5}
+        client.do("begin")
+        client.next(lambda s: s["time"] > 0.5, belts=0.5)
+        client.next(lambda s: s["time"] > 1.5, **hands)
+        assert client.state["who"] == {"front": "person", "rear": "policy"}
+        left, right = client.state["targets"][:2]
+        assert left == pytest.approx(client.scene["step"])
+        assert right < -0.2
+        assert client.state["angles"][:2] == pytest.approx([left, right], abs=0.15)
+        client.next(lambda s: s["phase"] == "over", belts=1, front_left_steps=1)
+        client.do("next")
+        row = session.over()
+    assert 0.3 < row["taken"] < 0.5  # one pair of both, but for the beginning
+    (record,) = session.folder.path.glob("*.json")
+    assert replay(record).differences == []
+    episode = session.episode()
+    assert episode.commands is not None
+    assert episode.commands.shape[1] == 9
+    assert episode.actions.max() > 8  # the sides turned apart
+    assert (episode.labels.argmax(1) == episode.actions).all()
 
 
 def test_cameras_show_what_is_there(tmp_path: Path) -> None:

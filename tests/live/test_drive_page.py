@@ -25,12 +25,12 @@ SCENE = {
     "robot": {"hinge": 0.28, "flipper": 0.336, "radius": 0.1},
     "ground": [[0, 0], [0, 0.2], [1, 0.2]],
     "start": -1.0, "finish": 2.0, "cameras": True, "shared": True, "step": 0.2618, "limit": 1.0472,
-    "flipper_speed": 0.436, "track_speed": 0.2,
+    "flipper_speed": 0.436, "track_speed": 0.2, "joints": ["front", "rear"],
 }  # fmt: skip
 STATE = {
     "kind": "state", "phase": "driving", "you": True, "driver": True, "watchers": 0, "time": 1.25,
     "x": 0.1, "z": 0.2, "pitch": 0.1, "roll": -0.05, "front": 0.2, "rear": -0.3,
-    "front_target": 0.2, "rear_target": 0.1, "belts": 1.0, "variation": 0.4, "left": 2.1,
+    "angles": [0.2, -0.3], "targets": [0.2, 0.1], "belts": 1.0, "variation": 0.4, "left": 2.1,
     "risk": None, "heard": 0, "who": {"front": "person", "rear": "policy"},
     "rate": 20.0, "outcome": None, "note": "",
 }  # fmt: skip
@@ -78,6 +78,7 @@ class Tab:
     def __init__(self, page: Any, server: Server) -> None:
         self.page, self.server = page, server
         self.hands_sent: list[dict[str, Any]] = []
+        self.base = STATE
         self.problems: list[str] = []
 
     def run(self, milliseconds: int = 20) -> list[dict[str, Any]]:
@@ -94,10 +95,9 @@ class Tab:
         return sent
 
     def hands(self, milliseconds: int = 60) -> tuple[float, ...]:
-        """Return (front, rear, belts, front_steps, rear_steps) of the newest hands message."""
+        """Return the rates of the joints, the belts' and the steps of the newest hands message."""
         newest = [m for m in self.run(milliseconds) if m["kind"] == "hands"][-1]
-        names = ("front", "rear", "belts", "front_steps", "rear_steps")
-        return tuple(newest[name] for name in names)
+        return (*newest["rates"], newest["belts"], *newest["steps"])
 
     def shows(self, condition: str) -> None:
         for _ in range(200):
@@ -107,8 +107,17 @@ class Tab:
             self.page.wait_for_timeout(20)
         raise AssertionError(condition + ": " + self.page.inner_text("body"))
 
+    def four(self) -> None:
+        """Go on with a robot of four flippers."""
+        joints = [f"{end}_{side}" for end in ("front", "rear") for side in ("left", "right")]
+        angles = {key: [-0.8, -1.04, -1.04, -0.2] for key in ("angles", "targets")}
+        self.server.send(SCENE | {"joints": joints})
+        self.base = STATE | angles
+        self.state()
+        self.shows("four()")
+
     def state(self, **changes: Any) -> None:
-        self.server.send(STATE | changes)
+        self.server.send(self.base | changes)
         text = json.dumps(changes)
         self.shows(f"Object.entries({text}).every(([k, v]) => state && state[k] === v)")
         self.page.clock.run_for(40)  # two frames: it is drawn
@@ -130,6 +139,7 @@ def opened(chromium: Any) -> Iterator[Tab]:
 @pytest.fixture
 def tab(opened: Tab) -> Iterator[Tab]:
     opened.hands_sent.clear()
+    opened.base = STATE
     opened.page.goto(opened.server.address)
     opened.shows("state !== null")
     yield opened
@@ -180,6 +190,35 @@ def test_keys(tab: Tab) -> None:
     assert tab.hands() == (0, 0, -0.4, -1, 0)
     key.up("ArrowDown")
     assert tab.hands() == (0, 0, 0, -1, 0)
+
+
+def test_keys_buttons_and_shoulders_choose_the_side_of_four(tab: Tab) -> None:
+    tab.page.keyboard.press("3")  # of pairs it means nothing
+    tab.page.keyboard.press("q")
+    assert tab.hands() == (0, 0, 0, 1, 0)
+    tab.four()
+    key = tab.page.keyboard
+    for name in ("q", "1", "q", "e", "3", "q", "d", "2", "a"):
+        key.press(name)
+    assert tab.hands() == (0, 0, 0, 0, 0, 1, 1, 1, -1)
+    key.press("m")
+    tab.page.click("#side-right")
+    tab.run(60)
+    assert tab.page.get_attribute("#side-right", "aria-pressed") == "true"
+    key.down("q")
+    key.down("d")
+    assert tab.hands()[:5] == (0, 1, 0, -1, 0)
+    key.press("1")  # what is held is let go
+    assert tab.hands()[:5] == (0, 0, 0, 0, 0)
+    key.up("q")
+    key.up("d")
+    tab.page.evaluate(PAD % ("standard", 0, 0, -1, 0))
+    tab.run(60)
+    for button, rates in ((-1, (1, 0, -1, 0)), (5, (0, 1, 0, -1)), (4, (1, 0, -1, 0))):
+        tab.page.evaluate(PAD % ("standard", -1, 1, button, 0))
+        assert tab.hands()[:4] == rates
+    assert tab.page.inner_text("#front") == "−46°/−60°"
+    assert tab.page.inner_text("#rear") == "−60°/−11°"
 
 
 def test_a_hold_button_holds_until_its_pointer_ends(tab: Tab) -> None:
@@ -235,11 +274,17 @@ def test_a_gamepad_counts_once_it_has_been_at_rest(tab: Tab) -> None:
     assert tab.hands() == (1, 0, 1, 0, 0)
 
 
-def test_on_a_phone_held_upright_every_button_is_wide_enough_and_stop_comes_first(tab: Tab) -> None:
+@pytest.mark.parametrize("flippers", ["pairs", "four"])
+def test_on_a_phone_held_upright_every_button_is_wide_enough_and_stop_comes_first(
+    tab: Tab, flippers: str
+) -> None:
+    if flippers == "four":
+        tab.four()
     for width, height in ((393, 727), (480, 800), (360, 640), (599, 900)):
         tab.page.set_viewport_size({"width": width, "height": height})
         boxes = tab.page.evaluate(
-            "Object.fromEntries([...document.querySelectorAll('#dock button, #speed')].map(b => {"
+            "Object.fromEntries([...document.querySelectorAll('#dock button, #speed')]"
+            ".filter(b => b.offsetParent).map(b => {"
             "const r = b.getBoundingClientRect();"
             "return [b.id, [r.x, r.y, r.right, r.width, r.height]]}))"
         )
@@ -249,8 +294,13 @@ def test_on_a_phone_held_upright_every_button_is_wide_enough_and_stop_comes_firs
         assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.parametrize("flippers", ["pairs", "four"])
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (800, 1000), (390, 844), (844, 390)])
-def test_nothing_is_cut_or_lies_over_something_else(tab: Tab, width: int, height: int) -> None:
+def test_nothing_is_cut_or_lies_over_something_else(
+    tab: Tab, width: int, height: int, flippers: str
+) -> None:
+    if flippers == "four":
+        tab.four()
     tab.page.set_viewport_size({"width": width, "height": height})
     for phase, outcome in (("ready", None), ("driving", None), ("held", None), ("over", "reached")):
         tab.state(phase=phase, outcome=outcome, risk=0.75)

@@ -3,6 +3,7 @@
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,9 +50,10 @@ class Script:
         return Command(0.7 if t < 8 else -0.2, -0.3 if t > 10 else 0.0, belts, 1.0, float(t > 10))
 
 
-def scene(sim: str, **terrain: float) -> EvalConfig:
+def scene(sim: str, flippers: str = "pairs", **terrain: Any) -> EvalConfig:
     load(())
-    return EvalConfig(terrain={"name": "step", **terrain}, sim=sim, eval={"episodes": 2})
+    step, robot = {"name": "step", **terrain}, {"flippers": flippers}
+    return EvalConfig(terrain=step, sim=sim, robot=robot, eval={"episodes": 2})
 
 
 def test_an_action_comes_closest_to_the_commands_and_carries_the_rest() -> None:
@@ -111,12 +113,31 @@ def test_who_waits_is_not_stuck() -> None:
     assert last.transition.outcome is Outcome.TIMEOUT
 
 
-@pytest.mark.parametrize("sim", ["planar", "mujoco"])
-def test_a_drive_is_repeated_bit_for_bit(sim: str, tmp_path: Path) -> None:
+class Lifting(Script):
+    """The same, with the right flippers raised a little more."""
+
+    def command(self, world: World) -> Command:
+        c = super().command(world)
+        return c._replace(flippers=(c.front, c.front + 0.1, c.rear, c.rear + 0.3))
+
+
+@pytest.mark.parametrize(
+    ("sim", "flippers", "script", "numbers"),
+    [
+        ("planar", "pairs", Script, 5), ("mujoco", "pairs", Script, 5),
+        ("mujoco", "four", Script, 9), ("mujoco", "four", Lifting, 9),
+    ],
+)  # fmt: skip
+def test_a_drive_is_repeated_bit_for_bit(
+    sim: str, flippers: str, script: type[Script], numbers: int, tmp_path: Path
+) -> None:
     pytest.importorskip("mujoco")
-    config = scene(sim, height=[0.12, 0.14])
+    config = scene(sim, flippers, height=[0.12, 0.14])
     folder = DriveFolder(tmp_path / "anna", "script: test")
-    row = folder.drive(config, FlipperEnv(config=config), Script(), 0)
+    row = folder.drive(config, FlipperEnv(config=config), script(), 0)
+    (episode,) = recording.read(folder.path).episodes
+    assert episode.commands is not None
+    assert episode.commands.shape[1] == numbers
     assert folder.missing(config, 0, 2) == [1]
     assert folder.next(config, None, 2) == [1, 2]
     with pytest.raises(RequestError, match=r"--episode 0: .* holds a drive of it"):

@@ -13,6 +13,7 @@ from flipperctl.live.hands import Asked, Hands, parse
 PERIOD = 0.05
 ROBOT = Robot()
 STEP = ROBOT.angle_step
+PAIRS, STILL = ("front", "rear"), (0, 0)
 
 
 def state(front: float = 0.0, rear: float = 0.0) -> RobotState:
@@ -23,8 +24,9 @@ def state(front: float = 0.0, rear: float = 0.0) -> RobotState:
 
 
 def asked(**values: float) -> Asked:
-    plain = {"at": 1.0, "front": 0, "rear": 0, "belts": 0, "front_steps": 0, "rear_steps": 0}
-    found = parse(json.dumps({"kind": "hands", **plain, **values}))
+    rates, steps = ([values.pop(n + kind, 0) for n in PAIRS] for kind in ("", "_steps"))
+    plain = {"kind": "hands", "at": 1.0, "belts": 0, "rates": rates, "steps": steps}
+    found = parse(json.dumps({**plain, **values}))
     assert isinstance(found, Asked)
     return found
 
@@ -32,13 +34,13 @@ def asked(**values: float) -> Asked:
 def test_a_press_is_a_step_and_counts_once() -> None:
     h = Hands(ROBOT, PERIOD)
     h.hear(asked(front_steps=7, belts=1))  # of an earlier episode
-    command, at = h.command((0.0, 0.0), state())
+    command, at = h.command((0.0, 0.0), state(), STILL)
     assert (command.front, command.rear, command.belts, at) == (0.0, 0.0, 1.0, 1.0)
     h.hear(asked(front_steps=8, rear_steps=-1, at=2.0))
-    command, at = h.command((0.0, 0.0), state())
+    command, at = h.command((0.0, 0.0), state(), STILL)
     assert (command.front, command.rear) == pytest.approx((STEP, -STEP))
     assert at == 2.0
-    again, _ = h.command((command.front, command.rear), state())
+    again, _ = h.command((command.front, command.rear), state(), STILL)
     assert again.front == command.front
 
 
@@ -46,7 +48,7 @@ def test_a_held_key_turns_at_the_speed_of_the_flippers() -> None:
     h = Hands(ROBOT, PERIOD)
     h.hear(asked(front=1, rear=-0.5))
     targets = 0.1, 0.1
-    command, _ = h.command(targets, state(*targets))
+    command, _ = h.command(targets, state(*targets), STILL)
     assert command.front == pytest.approx(0.1 + ROBOT.flipper_speed * PERIOD)
     assert command.rear == pytest.approx(0.1 - ROBOT.flipper_speed * PERIOD / 2)
 
@@ -54,13 +56,13 @@ def test_a_held_key_turns_at_the_speed_of_the_flippers() -> None:
 def test_targets_stay_near_the_flipper_and_within_its_limits() -> None:
     h = Hands(ROBOT, PERIOD)
     h.hear(asked())
-    h.command((0.0, 0.0), state())
+    h.command((0.0, 0.0), state(), STILL)
     h.hear(asked(front_steps=3, rear_steps=-30))
-    command, _ = h.command((0.0, 0.0), state())
+    command, _ = h.command((0.0, 0.0), state(), STILL)
     assert command.front == pytest.approx(3 * STEP)
     assert command.rear == -ROBOT.angle_limit
     h.hear(asked(front_steps=4))
-    blocked, _ = h.command((command.front, 0.0), state())  # the flipper has not moved
+    blocked, _ = h.command((command.front, 0.0), state(), STILL)  # the flipper has not moved
     assert blocked.front == pytest.approx(2 * STEP)
 
 
@@ -68,20 +70,20 @@ def test_without_news_everything_is_held(monkeypatch: pytest.MonkeyPatch) -> Non
     now = 10.0
     monkeypatch.setattr("flipperctl.live.hands.time.monotonic", lambda: now)
     h = Hands(ROBOT, PERIOD)
-    held, at = h.command((0.5, 0.0), state(0.2))
+    held, at = h.command((0.5, 0.0), state(0.2), STILL)
     assert (held.front, held.belts, at) == (0.2, 0.0, None)
     h.hear(asked(belts=1))
-    assert h.command((0.5, 0.0), state(0.2))[0].belts == 1.0
+    assert h.command((0.5, 0.0), state(0.2), STILL)[0].belts == 1.0
     now += hands.LOST + 0.01
-    held, at = h.command((0.5, 0.0), state(0.3))
+    held, at = h.command((0.5, 0.0), state(0.3), STILL)
     assert (held.front, held.belts, at) == (0.3, 0.0, None)
-    sagging, _ = h.command((0.3, 0.0), state(0.28))
+    sagging, _ = h.command((0.3, 0.0), state(0.28), STILL)
     assert sagging.front == 0.3  # not the angle to which its load turned it
     h.hear(asked(front_steps=5, belts=1))  # pressed while nobody heard it
-    assert h.command((0.3, 0.0), state(0.3))[0].front == pytest.approx(0.3)
+    assert h.command((0.3, 0.0), state(0.3), STILL)[0].front == pytest.approx(0.3)
     h.leave()
     assert not h.present
-    assert h.command((0.3, 0.0), state(0.3))[0].belts == 0.0
+    assert h.command((0.3, 0.0), state(0.3), STILL)[0].belts == 0.0
 
 
 def test_a_policy_turns_what_the_operator_leaves() -> None:
@@ -109,11 +111,12 @@ def test_a_policy_turns_what_the_operator_leaves() -> None:
         '{"kind": "answers", "values": [1, 2, 3]}',
         '{"kind": "answers", "values": [1, 2, 3, 4, 5, 101]}',
         *(
-            json.dumps({"kind": "hands", "at": 1, "front": 0, "rear": 0, "belts": 0,
-                        "front_steps": 0, "rear_steps": 0} | wrong)
+            json.dumps({"kind": "hands", "at": 1, "rates": [0, 0], "belts": 0,
+                        "steps": [0, 0]} | wrong)
             for wrong in (
-                {"front": 2}, {"belts": "1"}, {"rear": None}, {"front_steps": 1.5}, {"at": -1},
-                {"belts": math.inf}, {"belts": math.nan}, {"rear_steps": 10**9}, {"x": 1},
+                {"rates": [2, 0]}, {"belts": "1"}, {"rates": [0, None]}, {"steps": [1.5, 0]},
+                {"at": -1}, {"belts": math.inf}, {"belts": math.nan}, {"steps": [0, 10**9]},
+                {"x": 1}, {"rates": [0]}, {"steps": [0] * 5},
             )
         ),
         "[" * 100_000,
