@@ -18,34 +18,40 @@ std::vector<T> numbers(std::size_t count) {
     return values;
 }
 
+std::vector<Point> points() {
+    std::vector<Point> ground(numbers<int>(1)[0]);
+    for (Point& p : ground) std::cin >> p.x >> p.z;
+    return ground;
+}
+
 int main() {
-    int instants, highest, rows, outputs;
+    int instants, highest, rows, outputs, joints, sides;
     double window, limit;
     Layout layout{};
     std::cin >> instants >> layout.bins >> layout.bin_width >> highest >> layout.frames;
-    std::cin >> window >> limit >> rows >> outputs;
+    std::cin >> window >> limit >> rows >> outputs >> joints >> sides;
     layout.highest = highest != 0;
-    std::vector<Pair> actions(rows);
-    for (Pair& row : actions) std::cin >> row[0] >> row[1];
+    layout.sides = sides != 0;
+    std::vector<Joints> actions(rows);
+    for (Joints& row : actions) row = numbers<double>(joints);
 
     History history(layout.frames);
     double input_error = 0, target_error = 0;
     for (int i = 0; i < instants; ++i) {
-        const int begins = numbers<int>(1)[0], count = numbers<int>(1)[0];
-        std::vector<Point> points(count);
-        for (Point& p : points) std::cin >> p.x >> p.z;
-        const auto angles = numbers<double>(3);
-        if (begins) history.clear();
-        const Pair measured{angles[0], angles[1]};
-        const auto input = history.push(observation(layout, points, measured, angles[2]));
+        if (numbers<int>(1)[0]) history.clear();
+        const auto below = points();
+        const auto left = points(), right = points();
+        const auto measured = numbers<double>(joints), tilt = numbers<double>(2);
+        const Beside beside{left, right, tilt[1]};
+        const auto input = history.push(observation(layout, below, measured, tilt[0], beside));
         const auto wanted = numbers<double>(input.size());
         for (std::size_t k = 0; k < input.size(); ++k) {
             input_error = std::max(input_error, std::abs(wanted[k] - input[k]));
         }
         const auto answers = numbers<float>(outputs);
-        const auto last = numbers<double>(2), expected = numbers<double>(2);
-        const Pair next = next_targets({last[0], last[1]}, measured, turn(answers, actions), window, limit);
-        for (int k = 0; k < 2; ++k) {
+        const auto last = numbers<double>(joints), expected = numbers<double>(joints);
+        const Joints next = next_targets(last, measured, turn(answers, actions), window, limit);
+        for (int k = 0; k < joints; ++k) {
             target_error = std::max(target_error, std::abs(expected[k] - next[k]));
         }
     }

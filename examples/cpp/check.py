@@ -14,14 +14,19 @@ def lines(document):
     layout = [document["bins"], document["bin_width"], int(document["highest"])]
     rule = [document["frames"], document["window"], document["limit"]]
     output = "q_values" if document["kind"] == "turns" else "rates"
-    sizes = len(actions), len(instants[0][output])
+    sides = document.get("sides", False)
+    sizes = len(actions), len(instants[0][output]), len(actions[0]), int(sides)
     yield [len(instants), *layout, *rule, *sizes]
     yield from actions
     before = None
     for instant in instants:
-        points, episode = instant["points"], instant["episode"]
-        yield [int(episode != before), len(points), *(c for point in points for c in point)]
-        yield [instant["front"], instant["rear"], instant["pitch"], *instant["input"]]
+        episode = instant["episode"]
+        yield [int(episode != before)]
+        for ground in ("points", "left", "right"):
+            points = instant.get(ground, [])
+            yield [len(points), *(c for point in points for c in point)]
+        angles = instant.get("flippers", [instant["front"], instant["rear"]])
+        yield [*angles, instant["pitch"], instant.get("roll", 0.0), *instant["input"]]
         yield [*instant[output], *instant["targets_before"], *instant["targets"]]
         before = episode
 

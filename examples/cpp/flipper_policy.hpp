@@ -2,13 +2,13 @@
 //
 // From points of the ground and the measured angles to the input of the network, and from its
 // outputs to the angles to turn the flippers to. Run the network itself by onnxruntime's C++ API:
-// one input "observation", float32 (1, frames * n); one output "q_values" (1, 9) or "rates" (1, 2).
+// one input "observation", float32 (1, frames * n); one output "q_values" or "rates". For pairs, J = 2
+// joints, these are (1, 9) and (1, 2); for four flippers (1, 81) and (1, 4).
 // All is in SI units; frames and signs are those of docs/robot.md. "flipperctl export vectors"
 // writes what each function must return.
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstddef>
 #include <deque>
@@ -27,9 +27,15 @@ struct Layout {
     double bin_width;  // [m]
     bool highest;      // whether the heights of the highest points follow the means
     int frames;        // observations in one input, oldest first
+    bool sides;        // whether the heights of both sides and the roll follow
 };
 
-using Pair = std::array<double, 2>;  // of the front and the rear flippers [rad]
+struct Beside {
+    std::vector<Point> left, right;  // below the tracks of each side; empty: as in the middle
+    double roll = 0;                 // left side up positive [rad]
+};
+
+using Joints = std::vector<double>;  // of all J joints, the front ones first, left before right [rad]
 
 // Points in the frame of the chassis, which is pitched nose up, in the level frame.
 inline std::vector<Point> to_level(std::vector<Point> points, double pitch) {
@@ -58,15 +64,9 @@ inline void fill(std::vector<double>& values, const std::vector<int>& counts) {
         before = i;
     }
 }
-}  // namespace detail
 
-// The observation: mean height of each bin from rear to front, then the highest ones if the layout
-// has them, then the angles of both pairs and the pitch.
-//
-// A bin begins at its rear edge and ends before its front edge, but a point on the front end of all
-// belongs to the last. Points farther than half the perceived length are ignored.
-inline std::vector<float> observation(
-    const Layout& layout, const std::vector<Point>& points, Pair angles, double pitch) {
+inline void add_heights(
+    std::vector<float>& row, const Layout& layout, const std::vector<Point>& points) {
     const double reach = layout.bins * layout.bin_width / 2;
     std::vector<double> sum(layout.bins, 0.0);
     std::vector<double> top(layout.bins, -std::numeric_limits<double>::infinity());
@@ -88,9 +88,29 @@ inline std::vector<float> observation(
     }
     detail::fill(sum, counts);
     detail::fill(top, counts);
-    std::vector<float> row(sum.begin(), sum.end());
+    row.insert(row.end(), sum.begin(), sum.end());
     if (layout.highest) row.insert(row.end(), top.begin(), top.end());
-    for (double angle : {angles[0], angles[1], pitch}) row.push_back(static_cast<float>(angle));
+}
+}  // namespace detail
+
+// The observation: mean height of each bin from rear to front, then the highest ones if the layout
+// has them; with sides, those of the left, of the right and the roll; the angles and the pitch.
+//
+// A bin begins at its rear edge and ends before its front edge, but a point on the front end of all
+// belongs to the last. Points farther than half the perceived length are ignored.
+inline std::vector<float> observation(
+    const Layout& layout, const std::vector<Point>& points, const Joints& angles, double pitch,
+    const Beside& beside = {}) {
+    std::vector<float> row;
+    detail::add_heights(row, layout, points);
+    if (layout.sides) {
+        for (const auto* side : {&beside.left, &beside.right}) {
+            detail::add_heights(row, layout, side->empty() ? points : *side);
+        }
+        row.push_back(static_cast<float>(beside.roll));
+    }
+    for (double angle : angles) row.push_back(static_cast<float>(angle));
+    row.push_back(static_cast<float>(pitch));
     return row;
 }
 
@@ -114,25 +134,28 @@ class History {
     std::deque<std::vector<float>> rows_;
 };
 
-// The turn of both pairs: that of the largest Q-value, the first of equal ones, or by rates, which
-// are rounded to steps of 0.001. "actions" are the rows of the file, (9, 2) or (2, 2).
-inline Pair turn(const std::vector<float>& outputs, const std::vector<Pair>& actions) {
-    if (outputs.size() > 2) {
+// The turn of all joints: that of the largest Q-value, the first of equal ones, or by rates, which
+// are rounded to steps of 0.001. "actions" are the rows of the file, (3^J, J) or (J, J).
+inline Joints turn(const std::vector<float>& outputs, const std::vector<Joints>& actions) {
+    const std::size_t joints = actions[0].size();
+    if (outputs.size() > joints) {
         return actions[std::max_element(outputs.begin(), outputs.end()) - outputs.begin()];
     }
-    Pair rates;
-    for (int i = 0; i < 2; ++i) {
+    Joints turns(joints, 0.0);
+    for (std::size_t i = 0; i < joints; ++i) {
         const double rate = std::clamp(static_cast<double>(outputs[i]), -1.0, 1.0);
-        rates[i] = std::nearbyint(rate * 1000.0) / 1000.0;
+        for (std::size_t k = 0; k < joints; ++k) {
+            turns[k] += std::nearbyint(rate * 1000.0) / 1000.0 * actions[i][k];
+        }
     }
-    return {rates[0] * actions[0][0] + rates[1] * actions[1][0],
-            rates[0] * actions[0][1] + rates[1] * actions[1][1]};
+    return turns;
 }
 
 // The new targets. Before the first decision of an episode the last ones are the measured angles.
-inline Pair next_targets(Pair last, Pair measured, Pair turn, double window, double limit) {
-    Pair next;
-    for (int i = 0; i < 2; ++i) {
+inline Joints next_targets(
+    const Joints& last, const Joints& measured, const Joints& turn, double window, double limit) {
+    Joints next(last.size());
+    for (std::size_t i = 0; i < next.size(); ++i) {
         const double near = std::clamp(last[i], measured[i] - window, measured[i] + window);
         next[i] = std::clamp(near + turn[i], -limit, limit);
     }

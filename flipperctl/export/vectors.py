@@ -13,18 +13,22 @@ from typing import Any
 
 import numpy as np
 
+from flipperctl.api import FloatArray, RobotState, RollingWorld
 from flipperctl.config import EvalConfig
+from flipperctl.core.observation import SIDES
 from flipperctl.core.targets import angles_of
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.runtime.policy import OnnxPolicy
+from flipperctl.sim.planar.sensing import ground_beside
 from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 FILE = OutputKind("vectors", (".json",), re.compile(rb'\A\{"policy": '))
 COUNT = 200
 """Number of instants."""
+_EVERY = 4  # of the points beside the robot one in so many is written
 
 
 def export_vectors(
@@ -43,8 +47,6 @@ def export_vectors(
             "name the file"
         )
     policy, env = OnnxPolicy(file, escape=False), FlipperEnv(config=config)
-    if policy.interface.sides:
-        raise RequestError(f"{file}: vectors have the side plane alone; the policy has both sides")
     seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
     instants: list[dict[str, Any]] = []
     episode = 0
@@ -57,6 +59,7 @@ def export_vectors(
         "bins": interface.bins,
         "bin_width": interface.bin_width,
         "highest": interface.highest,
+        **({"sides": True} if interface.sides else {}),
         "frames": interface.frames,
         "kind": interface.kind,
         "actions": interface.actions.tolist(),
@@ -74,6 +77,18 @@ def export_vectors(
     }
 
 
+def _beside(
+    env: FlipperEnv, state: RobotState, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the ground below the left and the right tracks, (P, 2) [m] each; 2-D: ``points``."""
+    world: Any = env.drive.world
+    if not isinstance(world.of_engine, RollingWorld):
+        return points, points
+    ground = ground_beside(world, state, env.config.perception.reach)
+    left, right = (ground[ground[:, 1] * sign > 0] for sign in SIDES.values())
+    return left[::_EVERY, [0, 2]], right[::_EVERY, [0, 2]]
+
+
 def _episode(
     policy: OnnxPolicy, env: FlipperEnv, driver: Any, seed: int, episode: int
 ) -> list[dict[str, Any]]:
@@ -87,11 +102,20 @@ def _episode(
         points = seen.points if seen.filled is None else seen.points[~seen.filled]
         measured = list(angles_of(seen))
         half = len(measured) // 2
+        sides = points, points
+        if policy.interface.sides:
+            sides = _beside(env, decision.transition.before, points)
+        left, right = sides
+        # A robot that fell off its ground sees nothing, and decides nothing.
+        if not (len(points) and len(left) and len(right)):
+            continue
         targets = measured if targets is None else targets
         # The port's way: from points and angles to the observation, the input and the answer
+        front, rear = measured[:half], measured[half:]
         observation = policy.observation(
-            points, front=measured[:half], rear=measured[half:], pitch=seen.pitch
+            points, front=front, rear=rear, pitch=seen.pitch, sides=sides, roll=seen.roll
         )
+        beside = {"left": left.tolist(), "right": right.tolist(), "roll": seen.roll}
         missing = policy.interface.frames - len(frames) - 1
         frames = [*frames, observation][-policy.interface.frames :]
         stacked = np.concatenate([frames[0]] * max(0, missing) + frames)
@@ -101,6 +125,7 @@ def _episode(
             {
                 "episode": episode,
                 "points": points.tolist(),
+                **(beside if policy.interface.sides else {}),
                 "front": seen.front,
                 "rear": seen.rear,
                 **({"flippers": measured} if seen.flippers else {}),

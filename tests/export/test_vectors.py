@@ -8,19 +8,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.export.policy import save_network
 from flipperctl.runtime import OnnxPolicy
 from tests.cli.call import call
 
 PORT = Path(__file__).parents[2] / "examples" / "cpp"
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The vectors of a policy with three frames, whose sensor has gaps."""
+@pytest.fixture(scope="module", params=["pairs", "four"])
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The vectors of a policy with three frames, whose sensor has gaps, or of four with sides."""
     folder = tmp_path_factory.mktemp("vectors")
-    assert call("export", "onnx", "generalist", "--output", "p.onnx", cwd=folder).code == 0
-    words = "p.onnx", "terrain=stair", "perception.occlusion=true", "--output", "v.json"
+    words = ["p.onnx", "terrain=stair", "--output", "v.json"]
+    if request.param == "four":
+        settings = {"robot": {"flippers": "four"}, "perception": {"sides": True}}
+        env, network = FlipperEnv("stair", sim="mujoco", **settings), torch.nn.Linear(96, 81)
+        save_network(network, env.config, folder / "p.onnx", 0, "turns")
+        words += ["sim=mujoco", "sim.one_sided=1"]
+    else:
+        assert call("export", "onnx", "generalist", "--output", "p.onnx", cwd=folder).code == 0
+        words += ["perception.occlusion=true"]
     done = call("export", "vectors", *words, cwd=folder)
     assert done.code == 0, done.err
     return folder
@@ -30,20 +40,31 @@ def test_vectors_are_what_the_runtime_answers(folder: Path) -> None:
     document = json.loads((folder / "v.json").read_text())
     policy = OnnxPolicy(folder / "p.onnx", escape=False)
     assert len(document["instants"]) == 200
-    assert document["frames"] == policy.interface.frames > 1
+    assert document["frames"] == policy.interface.frames
+    four = len(policy.interface.joints) > 2
+    assert four == document.get("sides", False)
     before = None
     for row in document["instants"]:
         if row["episode"] != before:
             policy.reset()
             before = row["episode"]
-        angles = {name: row[name] for name in ("front", "rear", "pitch")}
-        observation = policy.observation(row["points"], **angles)
+        measured = row.get("flippers", [row["front"], row["rear"]])
+        half = len(measured) // 2
+        sides = {"sides": (row["left"], row["right"]), "roll": row["roll"]} if four else {}
+        observation = policy.observation(
+            row["points"],
+            front=measured[:half],
+            rear=measured[half:],
+            pitch=row["pitch"],
+            **sides,
+        )
         assert observation.tolist() == row["observation"]
         assert policy.act(observation) == row["action"] == int(np.argmax(row["q_values"]))
-        after = policy.next_targets(
-            row["targets_before"], [row["front"], row["rear"]], row["action"]
-        )
+        after = policy.next_targets(row["targets_before"], measured, row["action"])
         assert after.tolist() == row["targets"]
+    if four:  # the obstacles stand below one side
+        first = document["instants"][0]["observation"]
+        assert max(map(abs, np.subtract(first[30:60], first[60:90]))) > 0.05
 
 
 def test_the_port_to_cpp_agrees(folder: Path) -> None:
