@@ -43,6 +43,11 @@ class Terrain(Plugin, ABC):
         """Return a profile; every random choice is sampled from ``rng``."""
 
     @property
+    def title(self) -> str:
+        """Name of the ground for people, by default the plugin's."""
+        return self.plugin_name
+
+    @property
     def first_difficulty(self) -> float:
         """Difficulty of the first episode of a training, from 0 to 1."""
         return 1.0
@@ -56,7 +61,7 @@ class Terrain(Plugin, ABC):
         return self
 
     def labelled(self, rng: np.random.Generator) -> Profile:
-        """Return a generated profile; its label defaults to the terrain's name.
+        """Return a generated profile; its label defaults to the terrain's title.
 
         Raises:
             ValueError: ``generate`` returned something other than a profile.
@@ -67,7 +72,7 @@ class Terrain(Plugin, ABC):
             raise ValueError(f"generate must return a Profile; it returned a {kind}")
         if profile.label:
             return profile
-        return replace(profile, label=self.plugin_name)
+        return replace(profile, label=self.title)
 
 
 def _nested_terrain(value: object) -> object:

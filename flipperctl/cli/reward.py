@@ -92,7 +92,7 @@ def reward(
     entry = one_scene([*(names or ["okada"]), *settings], "inspect reward")
     config, source = entry.config, entry.source
     count = config.eval.episodes
-    with episodes_progress(f"{config.terrain.plugin_name}, {source.label()}", count) as report:
+    with episodes_progress(f"{config.terrain.title}, {source.label()}", count) as report:
         judgement = audit(config, source, episodes=count, report=report)
     conditions = Conditions.of(config)
     notes = [f"conditions {conditions.name}: {text}"] if (text := conditions.line()) else []

@@ -188,7 +188,7 @@ def drive(
         drive_folder = drives.DriveFolder(output or root / person, driver)
         source = None if helper is None else load_policy(helper, "--with", tell=print_note)
         tasks = [
-            drives.Task(config.terrain.plugin_name, config, index, drive_folder, source)
+            drives.Task(config.terrain.title, config, index, drive_folder, source)
             for config in _configs(words)
             for index in drive_folder.next(config, episode, episodes)
         ]
@@ -321,21 +321,22 @@ def _drawn(entry: Entry) -> Callable[[int], Episode]:
 
 def _failures(folder: Path) -> Entrant:
     """Return the recorded failures of a folder, over and over."""
+    from flipperctl.evaluation.names import names
     from flipperctl.evaluation.replay import read_record
     from flipperctl.live.lanes import Entrant, Episode
 
-    files = sorted(folder.glob("failure_*.json"))
+    records = [(file, read_record(file)) for file in sorted(folder.glob("failure_*.json"))]
+    records.sort(key=lambda item: (item[0].stem.rpartition("_")[0], item[1].episode))
+    called = names(list(dict.fromkeys(record.policy.label for _, record in records)))
 
     def episode(index: int) -> Episode:
-        file = files[index % len(files)]
-        record = read_record(file)
+        file, record = records[index % len(records)]
         config = record.evaluation(file)
         policy = record.policy.find(file, None).build(config)
-        title = f"{record.policy.label}: {file.stem.removeprefix('failure_')}, {record.outcome}"
-        return Episode(config, policy, record.seed, title)
+        return Episode(config, policy, record.seed, called[record.policy.label], record.episode)
 
     episode(0)  # errors now, not in the page
-    return Entrant(f"{len(files)} failures of {folder}", episode)
+    return Entrant(", ".join(called.values()), episode, recorded=True)
 
 
 def _show(

@@ -63,8 +63,8 @@ class Entry:
 
     @property
     def terrain(self) -> str:
-        """Name of the terrain plugin."""
-        return self.config.terrain.plugin_name
+        """Name of the ground for people."""
+        return self.config.terrain.title
 
     @property
     def sim(self) -> str:

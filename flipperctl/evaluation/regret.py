@@ -70,7 +70,7 @@ def measure(scene: RegretScene, player: Player) -> dict[str, Any] | None:
 
     Return None if a stop was asked for, since the episodes are then not the same.
     """
-    config, terrain = scene.config, scene.config.terrain.plugin_name
+    config, terrain = scene.config, scene.config.terrain.title
     if not (terms := paying_terms(config.rewards)):
         raise ConfigError(f"rewards: {scene.rewards!r} leaves no term to judge a policy by")
     # Wrong layouts and robots are refused before anything is played.

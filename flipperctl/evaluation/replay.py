@@ -255,7 +255,7 @@ class Replay:
         record = self.record
         conditions = f"{record.conditions['name']} {record.conditions['hash']}"
         return (
-            f"{record.policy.label} on {self.config.terrain.plugin_name}, conditions {conditions}, "
+            f"{record.policy.label} on {self.config.terrain.title}, conditions {conditions}, "
             f"episode {record.episode}: {self.episode['outcome']}"
         )
 
@@ -263,7 +263,7 @@ class Replay:
         """Return plain data."""
         return {
             "controller": self.record.policy.label,
-            "terrain": self.config.terrain.plugin_name,
+            "terrain": self.config.terrain.title,
             "conditions": dict(self.record.conditions),
             "episode": self.record.episode,
             "seed": self.record.seed,
@@ -291,7 +291,7 @@ def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_p
         digest.add(decision)
         transitions.append(decision.transition)
 
-    with progress(f"{config.terrain.plugin_name}, replay", 1) as report:
+    with progress(f"{config.terrain.title}, replay", 1) as report:
         row = play(env, policy, record.seed, watch=watch, report_progress=report)
     episode = arranged({"episode": record.episode, **row}) | {DIGEST: digest.hexdigest()}
     return Replay(record, config, source, episode, tuple(transitions), env.profile)

@@ -69,7 +69,7 @@ def audit(
     total = sum(float(np.abs(column).sum()) for column in values.values())
     return {
         "controller": source.label(),
-        "terrain": config.terrain.plugin_name,
+        "terrain": config.terrain.title,
         "episodes": episodes,
         "decisions": len(next(iter(values.values()), np.empty(0))),
         "return": sum(float(column.sum()) for column in values.values()) / episodes,
@@ -134,7 +134,7 @@ def _scene(
     policies: Mapping[str, PolicySource],
     player: Player,
 ) -> dict[str, Any]:
-    terrain = config.terrain.plugin_name
+    terrain = config.terrain.title
     # Terms of all rewards at once, so that the episodes are played once
     terms_of_all = {f"{at}.{n}": term for at, terms in rewards.items() for n, term in terms.items()}
     whole = config.model_copy(update={"rewards": terms_of_all})

@@ -32,8 +32,10 @@ class Episode:
     config: EvalConfig
     policy: Policy
     seed: int
-    title: str = ""
-    """Terrain and draw, or where the episode was recorded."""
+    policy_name: str = ""
+    """Name of the policy of a recorded episode; empty: the entrant's label."""
+    number: int | None = None
+    """Index of a recorded episode within its evaluation."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class Entrant:
     episode: Callable[[int], Episode]
     """Returns the episode with an index from 0; its policy is built anew, so that a viewer of a
     running training sees the newest weights."""
+    recorded: bool = False
+    """Whether the episodes are recorded ones, each of a draw of its own."""
 
 
 @dataclass
@@ -135,9 +139,10 @@ class Lane:
         """How the episode ended; None while it runs."""
         self.env: FlipperEnv
         """The environment of the episode."""
+        self.label = entrant.label
+        """Name of the policy of the episode."""
         self.title = ""
-        self.recorded = False
-        """Whether the title says which episode it is."""
+        """Ground and index of the episode."""
         self._moments: Iterator[Moment] = iter(())
 
     def begin(self, index: int, difficulty: float = 1.0, seed: int | None = None) -> Moment:
@@ -149,8 +154,10 @@ class Lane:
         self.env = FlipperEnv(config=episode.config)
         self._moments = self._played(episode, difficulty)
         first = next(self._moments)
-        self.recorded = bool(episode.title)
-        self.title = episode.title or episode.config.terrain.plugin_name
+        number = index if episode.number is None else episode.number
+        drawn = f"seed {seed}" if seed is not None else f"episode {number}"
+        self.title = f"{episode.config.terrain.title}, {drawn}"
+        self.label = episode.policy_name or self.entrant.label
         self.history.add(first)
         return first
 

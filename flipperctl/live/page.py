@@ -29,8 +29,6 @@ _AFTER = 1.5
 """Pause after an episode before the next one begins [s]."""
 _MOST = 4
 """Largest number of policies at once [-]."""
-_LETTERS = 16
-"""Letters of a policy's name in the scene; the panel has the whole one [-]."""
 _LONGEST = 12
 """Decisions of a plan that are listed [-]."""
 _POINTS = 300
@@ -117,7 +115,7 @@ def gauges(number: int, lane: Lane, moment: Moment) -> dict[str, Any]:
     return {
         "kind": "lane",
         "lane": number,
-        "label": lane.entrant.label,
+        "label": lane.label,
         "search": None,
         "outcome": None if lane.outcome is None else lane.outcome.value,
         "time": state.time,
@@ -233,6 +231,7 @@ class WatchPage:
             "policies": list(zip(labels, self._shown, strict=False)),
             "lanes": len(self._lanes),
             "addable": self._find is not None,
+            "recorded": self._entrants[0].recorded,
             "episode": self._episode,
             **self._fields,
         }
@@ -313,19 +312,15 @@ class WatchPage:
         grounds = [Laid.of(e.profile, e.drive.world.of_engine) for e in envs]
         floor = self._stage.begin(grounds)
         for number, ((lane, scene), start) in enumerate(zip(self._lanes, starts, strict=True)):
-            # A single robot needs no name, and on a phone a long one has no place.
-            name = lane.entrant.label if len(envs) > 1 else ""
-            env, label = envs[number], name if len(name) <= _LETTERS else f"{name[: _LETTERS - 1]}…"
+            # The page names the numbers: names have no place in the scene of a phone.
+            env, label = envs[number], str(number + 1) if len(envs) > 1 else ""
             finish, ground = env.scene.finish, grounds[number]
             scene.begin(env.profile, env.robot, finish, floor, label, ground)
             scene.show(start.states[0])
             self._show_gauges(number, gauges(number, lane, start))
         scenes = [scene for _, scene in self._lanes]
         self._stage.follow([(s, start.states[0]) for s, start in zip(scenes, starts, strict=True)])
-        drawn = f"seed {seed}" if seed else f"episode {self._episode}"
         self._title = self._lanes[0][0].title
-        if not self._lanes[0][0].recorded:
-            self._title += f", {drawn}"
         self._tell()
         running = list(enumerate(self._lanes))
         # Simulate a decision in every lane, then show them together.

@@ -38,7 +38,7 @@ _FLOOR = "#CBC5BA"
 _WIDE = 20.0  # half the width of the floor [m]
 _HAZE = 8.0, 15.0  # distance from the camera at which the haze begins, and is all that is seen [m]
 _CLEARER = 1.4, 0.5  # by how much farther they are for each further lane [m]
-_NAME = 1.2, 0.4
+_NAME = 1.8, 0.3
 """Where the name of a lane begins: x from its robot, and y [m]."""
 _THIN = 0.02  # ground of a lane above the floor, at its lowest point [m]
 _SKIES = {False: ("#C3DAEE", SKY), True: ("#1C2530", "#252E39")}

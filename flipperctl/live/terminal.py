@@ -97,7 +97,7 @@ def watch(
     console, lane, index = Console(file=out, highlight=False), Lane(entrant), first
     while episodes is None or index - first < episodes:
         start = lane.begin(index)
-        console.print(f"{entrant.label} on {lane.title}, episode {index}", markup=False)
+        console.print(f"{lane.label} on {lane.title}", markup=False)
         if console.is_terminal:
             _animate(console, lane, start, speed)
         else:

@@ -182,8 +182,10 @@ class _Files:
         # How to see the failures, and which stored episodes other versions played
         if records:
             again = command("replay", path / records[0][0])
-            several = f"{len(records)} failures" if len(records) > 1 else "a failure"
-            self._tell(f"recorded {several}; to play the first again: {again}")
+            which = "the first" if len(records) > 1 else "it"
+            self._tell(
+                f"recorded {counted(len(records), 'failure')}; to play {which} again: {again}"
+            )
         for version, count in self.store.other_versions.items():
             self._tell(
                 f"{path / FOLDER}: {count} of these files were played with {version}, not the "

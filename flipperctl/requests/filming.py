@@ -130,7 +130,7 @@ def film_training(run: Path, config: TrainConfig, path: Path, tell: Callable[[st
     for decision, file in policies:
         name = f"after {decision:,} decisions"
         part = Part(name, config.environment(), load_policy(file), seed)
-        takes.append(Take(f"{config.terrain.plugin_name}, episode 0", [part]))
+        takes.append(Take(f"{config.terrain.title}, episode 0", [part]))
     tell(f"filming the policies of {counted(len(takes), 'validation')} on one episode …")
     film(path, takes)
     tell(f"wrote {path}")

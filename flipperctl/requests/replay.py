@@ -63,7 +63,7 @@ def replay_file(
             from flipperctl.figures.film import film as make_film
 
             config, label = replayed.config, replayed.source.label()
-            terrain, seed = config.terrain.plugin_name, replayed.record.seed
+            terrain, seed = config.terrain.title, replayed.record.seed
             part = Part(names([label])[label], config.environment(), replayed.source, seed)
             with progress(f"{terrain}, film", 1) as report:
                 take = Take(f"{terrain}, episode {replayed.record.episode}", [part])

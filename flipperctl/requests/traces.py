@@ -22,6 +22,7 @@ from flipperctl.evaluation.play import EpisodeRunner, Progress
 from flipperctl.evaluation.replay import risks
 from flipperctl.evaluation.rows import DIGEST, Row, reached, telling
 from flipperctl.rollout.trace import Trace, read, write
+from flipperctl.text.messages import counted
 from flipperctl.views.summary import Document, named
 
 FAILURES = 2
@@ -139,7 +140,7 @@ class Traces:
         # What a stop left out is said first, since it explains the rest.
         if stop() and (left := sum(item.key not in self._found for item in missing)):
             raise InterruptedRunError(
-                f"interrupted: {left} of {len(missing)} episodes are not in {self._file}"
+                f"interrupted: {self._file} lacks {left} of {counted(len(missing), 'episode')}"
             )
         if failed:
             more = f"; {len(failed) - 1} more failed" if len(failed) > 1 else ""

@@ -26,6 +26,7 @@ from flipperctl.ros.reading import Points, Pose, messages, opened, read_points
 from flipperctl.ros.recording import Recording, read_recording
 from flipperctl.ros.topics import Names
 from flipperctl.text.files import OutputKind, check_output, write_bytes
+from flipperctl.text.messages import counted
 
 _HEADER = "# ground by flipperctl: x y z [m]\n"
 """First line of each file, by which an earlier one is recognised."""
@@ -188,7 +189,7 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Recording
 
     # Two reasons for which nothing is left
     if not points:
-        raise RequestError(f"{source}: the {count} clouds of {topic} have no points")
+        raise RequestError(f"{source}: {counted(count, 'cloud')} of {topic}, none with points")
     if not scans:
         raise RequestError(
             f"{source}: none of the {count} clouds of {topic} has a transform to "

@@ -226,7 +226,7 @@ class TrainingRecorder:
                     yield episode
 
     def _write(self, path: Path, episodes: list[RecordedEpisode]) -> None:
-        driver = f"training on {self._config.terrain.plugin_name}"
+        driver = f"training on {self._config.terrain.title}"
         recording.write(path, driver, [(self._config, episodes)])
 
     def _remove(self, parts: list[Path]) -> None:

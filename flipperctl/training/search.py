@@ -36,6 +36,7 @@ from flipperctl.errors import (
     missing_extra,
 )
 from flipperctl.process.session import command
+from flipperctl.text.messages import counted
 from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
 
 if TYPE_CHECKING:
@@ -334,6 +335,7 @@ class _Search:
         OmegaConf.save(document, self.jobs.folder / "optimization_results.yaml")
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         self.tell(
-            f"\nBest of {len(self._finished())} trials: {settings}, objective {best.value:.5f}.\n"
+            f"\nBest of {counted(len(self._finished()), 'trial')}: {settings}, "
+            f"objective {best.value:.5f}.\n"
             f"Evaluate: {command('eval', run)}"
         )

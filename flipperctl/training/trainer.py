@@ -396,7 +396,7 @@ class Trainer:
         validations = {"best": self.validator.best, "last": self.validator.last}
         return {
             "finished": finished,
-            "terrain": config.terrain.plugin_name,
+            "terrain": config.terrain.title,
             "network": config.network.plugin_name,
             "seed": config.seed,
             "decisions": progress.decision,

@@ -274,7 +274,7 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
     seconds = summary_of(policy).get("seconds")
     decisions = "" if count is None else f", {count:,} decisions"
     yield (
-        f"Network `{config.network.plugin_name}` on the terrain `{config.terrain.plugin_name}`, "
+        f"Network `{config.network.plugin_name}` on the terrain `{config.terrain.title}`, "
         f"seed {config.seed}{decisions}{'' if seconds is None else f' in {seconds:,.0f} s'}, with "
         f"flipperctl {document.versions['flipperctl']}.\n"
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from flipperctl.api import Outcome
 from flipperctl.evaluation.rows import Row
+from flipperctl.text.messages import counted
 from flipperctl.text.show import with_minus
 from flipperctl.views import evaluation
 from flipperctl.views.summary import Document, rate_text
@@ -193,7 +194,7 @@ def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
         return None
     mean = math.exp(float(np.mean([math.log(first / second) for first, second in whole])))
     return (
-        f"On the {len(whole)} scenes that both always cross, the pitch variation of "
+        f"On {counted(len(whole), 'scene')} that both always cross, the pitch variation of "
         f"**{policy}** is {mean:.2f} of that of **{RULER}** (geometric mean)."
     )
 

@@ -265,8 +265,8 @@ def slice_along(
             (x0, y0, _), (x1, y1, _) = points.min(axis=0), points.max(axis=0)
             extent = f"x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
         raise ValueError(
-            f"only {count} points lie within {thickness / 2:g} m of the line from {line.start} to "
-            f"{line.end}, {fewest} are needed; the cloud covers {extent}"
+            f"{fewest} points are needed within {thickness / 2:g} m of the line from {line.start} "
+            f"to {line.end}, found: {count}; the cloud covers {extent}"
         )
 
     # The points nearest to each place, in groups

@@ -163,6 +163,11 @@ class ProfileFile(Terrain):
         """Return the recorded profile, beginning at (0, 0); ``rng`` is not used."""
         return self._profile
 
+    @property
+    def title(self) -> str:
+        """Name of the recorded file, once there is one."""
+        return self.plugin_name if self.path is None else Path(self.path).name
+
     def files_read(self) -> tuple[Path, ...]:
         """Return the recorded file."""
         return (self._file,)
@@ -190,7 +195,7 @@ class ProfileFile(Terrain):
         if self._kind in ("map", "mesh"):
             height = float(points[0, 1])
             surface = RecordedSurface(points[:, 0], partial(self._beside, height))
-        return Profile(points - points[0], self._file.stem, surface)
+        return Profile(points - points[0], surface=surface)
 
     @cached_property
     def _recorded(self) -> tuple[FloatArray, tuple[str, ...]]:

@@ -77,7 +77,7 @@ def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
     size = "randomise.robot.size=[0.8,0.8]"
     done = call(*LEVEL, size, "--output", "found", cwd=tmp_path)
     assert done.code == 0
-    assert f"recorded a failure; to play the first again: flipperctl replay {RECORD}" in done.err
+    assert f"recorded 1 failure; to play it again: flipperctl replay {RECORD}" in done.err
     done = call("replay", RECORD, "--output", "again", cwd=tmp_path)
     assert done.code == 0, done.err
     assert "bit-identical to the recorded episode" in done.out

@@ -6,12 +6,14 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.commands.live import _failures
 from flipperctl.config import EvalConfig
 from flipperctl.errors import CheckpointError, RequestError
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.replay import EpisodeRecord, read_record, replay
 from flipperctl.evaluation.rows import DIGEST
+from flipperctl.live.lanes import Lane
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.requests import evaluation
 from flipperctl.requests.evaluation import failure_records
@@ -128,3 +130,12 @@ def test_what_is_no_record_is_refused(tmp_path: Path) -> None:
     (tmp_path / "list.json").write_text("[]")
     with pytest.raises(RequestError, match="no record of an episode: it must be a mapping"):
         read_record(tmp_path / "list.json")
+
+
+def test_a_recorded_failure_is_watched_as_its_policy_and_episode(folder: Path) -> None:
+    records = [read_record(file) for file in sorted(folder.glob("failure_*.json"))]
+    lane = Lane(_failures(folder))
+    assert lane.entrant.recorded
+    for index, record in enumerate([*records, records[0]]):
+        lane.begin(index)
+        assert (lane.label, lane.title) == ("level", f"step, episode {record.episode}")

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.browser import crowded
@@ -295,7 +296,9 @@ def test_on_a_phone_held_upright_every_button_is_wide_enough_and_stop_comes_firs
 
 
 @pytest.mark.parametrize("flippers", ["pairs", "four"])
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (800, 1000), (390, 844), (844, 390)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(1280, 800), (800, 1000), (800, 640), (390, 844), (844, 390)]
+)
 def test_nothing_is_cut_or_lies_over_something_else(
     tab: Tab, width: int, height: int, flippers: str
 ) -> None:
@@ -306,6 +309,28 @@ def test_nothing_is_cut_or_lies_over_something_else(
         tab.state(phase=phase, outcome=outcome, risk=0.75)
         assert crowded(tab.page) == []
         assert tab.page.evaluate("$('phase').clientHeight") < 30  # one line
+
+
+TEXTS = """() => {
+  window.texts = [];
+  const pen = CanvasRenderingContext2D.prototype, write = pen.fillText;
+  pen.fillText = function (text, x, y) {
+    const width = this.measureText(text).width, left = x - width * (this.textAlign === "right");
+    const right = this.canvas.clientWidth - left - width;
+    if (this.textAlign !== "center") texts.push([text, left, right]);
+    write.call(this, text, x, y);
+  };
+}"""
+
+
+def test_names_in_the_side_view_are_whole(tab: Tab) -> None:
+    tab.page.set_viewport_size({"width": 390, "height": 844})
+    tab.page.evaluate(TEXTS)
+    for x in np.linspace(-1.5, 3.0, 31).tolist():
+        tab.state(x=x)
+    shown = tab.page.evaluate("texts")
+    assert {"start", "finish"} <= {text for text, *_ in shown}
+    assert [text for text, left, right in shown if min(left, right) < 0] == []
 
 
 def test_keys_before_the_beginning_say_what_to_do(tab: Tab) -> None:

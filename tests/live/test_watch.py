@@ -166,7 +166,7 @@ def test_the_page_is_driven_by_keys_and_buttons(served: Page, tab: Any) -> None:
     expect(tab.get_by_role("alert")).to_contain_text("nobody")
     tab.locator("#name").fill("level")
     tab.keyboard.press("Enter")
-    expect(tab.locator("#lane-2 .name")).to_have_text("level")
+    expect(tab.locator("#lane-2 .name")).to_have_text("3 level")
     tab.get_by_label("level", exact=True).uncheck()
     expect(tab.locator("#lane-2")).to_have_count(0)
 
@@ -185,6 +185,26 @@ def require_readable(tab: Any, width: int) -> None:
     assert scene["width"] >= 0.6 * width  # and not behind the panel
     beside = side["x"] >= scene["x"] + scene["width"]
     assert beside if width > 900 else side["y"] >= scene["y"] + scene["height"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [1, 4, 6])
+def test_names_of_several_robots_are_whole_and_apart(chromium: Any, count: int) -> None:
+    names = [f"{name}_of_a_run_with_many_letters" for name in ("a", "bb", "ccc", "d", "e", "f")]
+    entrants = [entrant(name, "level") for name in names[:count]]
+    with opened_page(*entrants) as (gate, _), tab_of(gate, chromium) as tab:
+        shown = min(count, 4)
+        tab.locator(f"#lane-{shown - 1} canvas").first.wait_for()
+        for width in (1280, 800, 390):
+            tab.set_viewport_size({"width": width, "height": 844})
+            assert browser.crowded(tab) == []
+            texts = tab.locator("#names > span").all_inner_texts()
+            numbered = [f"{at + 1} {name}" for at, name in enumerate(names[:shown])]
+            assert texts == (numbered if count > 1 else [names[0]])
+            assert tab.locator("#names").is_visible() == (count > 1)
+            scene, named = (tab.locator(part).bounding_box() for part in (".frame", "#names"))
+            assert scene["height"] > 150
+            assert named is None or named["y"] >= scene["y"] + scene["height"] - 1
 
 
 @pytest.mark.slow
@@ -264,23 +284,24 @@ def test_no_robot_leaves_the_picture(count: int, apart: tuple[float, float]) -> 
         assert wide < 1.1  # of the narrowest picture, on a laptop
 
 
-@pytest.mark.parametrize("count", [2, 4])
-def test_a_name_lies_over_no_robot(count: int) -> None:
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_a_number_lies_over_no_robot_and_no_other_number(count: int) -> None:
     seen, robot = in_picture(count), Robot()
 
     def overlap(a: np.ndarray, b: np.ndarray) -> bool:
         return bool((np.minimum(a.max(0), b.max(0)) > np.maximum(a.min(0), b.min(0))).all())
 
-    # Robots on level ground, which is 0.1 m below them, and names in the smallest picture
-    height, letters = 320, np.array([[0, 0], [90, 18]])
+    # Robots on level ground, which is 0.1 m below them, and numbers in the smallest picture
+    height, letters = 240, np.array([[0, 0], [14, 18]])
     half, wide, up = robot.hinge_offset + robot.flipper_axle + 0.1, 0.35, 0.25
     corners = [(x, y, z) for x in (-half, half) for y in (-wide, wide) for z in (-0.1, up)]
     places = [lane * (scene.WIDTH + scene._BETWEEN) for lane in range(count)]
     bodies = [seen(np.add(corners, (0.0, y, 0.0))) for y in places]
-    for y in places:
-        begin = seen(np.array([[scene._NAME[0], y + scene._NAME[1], -0.1]]))
-        name = begin + letters * 2 / height
-        assert not any(overlap(name, body) for body in bodies)
+    begins = [seen(np.array([[scene._NAME[0], y + scene._NAME[1], -0.1]])) for y in places]
+    numbers = [begin + letters * 2 / height for begin in begins]
+    for at, number in enumerate(numbers):
+        assert not any(overlap(number, other) for other in [*bodies, *numbers[:at]])
+        assert np.abs(number).max() < 1.15  # of the narrowest picture, on a laptop
 
 
 @pytest.mark.parametrize("name", ["mpc", "planner"])

@@ -46,7 +46,7 @@ def test_a_csv_is_a_profile_in_its_unit(tmp_path: Path) -> None:
     file.write_text("time, X, Z\n0, 100, 5\n1, 100, 25\n2, 180, 25\n")
     found = profile(file, unit="cm")
     assert found.points == pytest.approx(np.array([(0, 0), (0, 0.2), (0.8, 0.2)]))
-    assert found.label == "curb"
+    assert found.label == "curb.csv"
 
 
 def test_a_file_must_be_named() -> None:
@@ -153,7 +153,10 @@ def test_a_point_cloud_is_sliced_along_the_line(suffix: str, tmp_path: Path) -> 
     file = tmp_path / f"scan.{suffix}"
     write_cloud(file, scanned())
     assert_block(profile(file, **LINE), 0.02)
-    with pytest.raises(TerrainError, match=r"only 0 points lie within .* covers x from 0\.00 to 4"):
+    with pytest.raises(
+        TerrainError,
+        match=r"points are needed within .* found: 0; the cloud covers x from 0\.00 to 4",
+    ):
         profile(file, start=(8.0, 2.0), end=(9.0, 2.0))
     with pytest.raises(TerrainError, match=r"no height is known from 3\.\d+ to 5\.00 m"):
         profile(file, start=(1.0, 2.0), end=(6.0, 2.0))

@@ -118,7 +118,7 @@ def test_ctrl_c_keeps_the_traces_that_are_there_and_the_next_command_plays_the_r
         patched.setattr(EpisodeRunner, "transitions", interrupted)
         done = call(*words, cwd=tmp_path)
     assert done.code == 130
-    assert "interrupted: 1 of 2 episodes are not in out/traces.npz" in done.err
+    assert "interrupted: out/traces.npz lacks 1 of 2 episodes" in done.err
     assert [one.episode for one in read(tmp_path / "out" / TRACES)] == [0]
     again.clear()
     assert call(*words, cwd=tmp_path).code == 0
