@@ -130,7 +130,7 @@ def terrain(
         about = " ".join(words)
         save(terrain_figure(list(profiles.values()), config.robot, labels), output, about)
     document = {"terrain": resolver.to_dict(config.terrain), "draws": rows}
-    show(document, lambda: print_terrain(name, rows, output), as_json=as_json)
+    show(document, lambda: print_terrain(config.terrain.title, rows, output), as_json=as_json)
 
 
 def checkpoint(

@@ -84,10 +84,10 @@ def telling(episodes: Iterable[tuple[int, bool, float]]) -> int:
         episodes: index, whether the finish was reached, and pitch variation [rad] of each episode
             of each policy.
     """
-    finished, variations = Counter[int](), Counter[int]()
+    finished, variations = Counter[int](), dict[int, float]()
     for index, good, variation in episodes:
         finished[index] += good
-        variations[index] += variation  # type: ignore[assignment]  # a sum
+        variations[index] = variations.get(index, 0.0) + variation
     return max(sorted(finished), key=lambda index: (finished[index], variations[index]))
 
 

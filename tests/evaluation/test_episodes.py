@@ -13,7 +13,7 @@ from flipperctl.api import Outcome
 from flipperctl.config import EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.rows import RECORDED, Row, arranged
+from flipperctl.evaluation.rows import RECORDED, Row, arranged, telling
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.rollout.episode import EvaluationSeeds, play
 from flipperctl.rollout.pool import WorkerPool
@@ -150,3 +150,10 @@ def test_recorded_episodes_are_those_of_the_evaluation() -> None:
     (rule,) = play_episodes(config, OKADA, episodes=1, seed=3, record=True)
     recorded = rule[RECORDED]
     assert (recorded.labels == np.eye(9)[recorded.actions]).all()
+
+
+def test_the_telling_episode_is_the_liveliest_that_most_finish() -> None:
+    flat, lively, failed = (0, True, 0.1), (1, True, 0.8), (2, False, 9.0)
+    assert telling([flat, lively, failed, flat, lively, (2, True, 0.2)]) == 1
+    assert telling([flat, flat]) == 0
+    assert telling([(1, False, 1.0), (2, False, 2.0)]) == 2
