@@ -2,6 +2,8 @@
 
 import json
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ def state(front: float = 0.0, rear: float = 0.0) -> RobotState:
     )  # fmt: skip
 
 
-def asked(**values: float) -> Asked:
+def asked(**values: Any) -> Asked:
     rates, steps = ([values.pop(n + kind, 0) for n in PAIRS] for kind in ("", "_steps"))
     plain = {"kind": "hands", "at": 1.0, "belts": 0, "rates": rates, "steps": steps}
     found = parse(json.dumps({**plain, **values}))
@@ -98,6 +100,22 @@ def test_a_policy_turns_what_the_operator_leaves() -> None:
     assert h.command((0.0, 0.0), state(), (0, -1))[0].rear == 0.0  # still the operator's
     h.release()
     assert h.command((0.0, 0.0), state(), (0, -1))[0].rear == pytest.approx(-STEP)
+
+
+def test_of_four_each_flipper_turns_alone_and_who_turns_it_has_the_pair() -> None:
+    h = Hands(Robot(flippers="four"), PERIOD, helped=True)
+    with pytest.raises(ValueError, match="of 4 joints"):
+        h.hear(asked())  # of a page that drives pairs
+    first, level = (
+        asked(rates=[0, 0, 0, 0], steps=[0, 0, 0, 0]),
+        replace(state(), flippers=(0.0,) * 4),
+    )
+    h.hear(first)
+    h.command((0.0,) * 4, level, (0,) * 4)
+    h.hear(first.model_copy(update={"steps": (1, 0, 0, 0)}))
+    command, _ = h.command((0.0,) * 4, level, (1, 1, 1, -1))
+    assert command.flippers == pytest.approx((STEP, 0.0, STEP, -STEP))
+    assert [*command[:5]] == pytest.approx([STEP / 2, 0.0, 0.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize(
