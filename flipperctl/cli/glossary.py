@@ -46,6 +46,7 @@ interval: The range in square brackets that contains the true mean in 95 of 100 
 IQM: Interquartile mean: the mean of the middle half of the mean scores of training seeds on scenes,
     which ignores outliers.
 level: The baseline that holds both flipper pairs still at 0 rad. It is strong on stairs and ramps.
+method: Policies that were trained alike but for their seeds, or one policy.
 mpc: Model predictive control: a controller that simulates what follows each action, takes the best
     one, and plans again at the next decision.
 observation: What a policy sees at a decision: heights of the ground around the robot, flipper
@@ -62,6 +63,7 @@ pitch variation at decisions: Pitch variation with one sample per decision (0.6 
     seems to count it. It misses what happens between two decisions.
 policy: What chooses the actions: a run, a checkpoint, an .onnx file, a shipped policy, a file of
     tune, a folder of drives, hf:USER/NAME or a controller.
+price: What an episode that is not reached counts in a score; 2π rad for pitch variation.
 profile: The ground in the robot's side view: a line of points (x, z) [m].
 reached: Outcome: the robot passed the finish and stands on the ground again.
 regret: The reward that a policy misses compared with the best of several references on the same
@@ -72,8 +74,10 @@ reward: What training maximises: a weighted sum of terms at each decision. flipp
 risk: The probability that the episode fails within the next ten decisions, which some policies
     learn (agent.risk). From a threshold on it is a warning.
 run: The folder of one training: configuration, metrics, checkpoints.
-saturated: The share of decisions at which a reward term has its smallest value, and therefore
+saturated: The share of decisions at which a reward term is at its lower bound, and therefore
     tells actions apart no more.
+score: Of compare: the measure of the episodes that were reached, at most the price, and the price
+    of those that were not. Less is better.
 scene: A terrain with fixed settings and conditions on which policies are evaluated.
 seed: The number from which all random numbers of a training or an evaluation follow. Equal seeds
     give equal results.

@@ -48,7 +48,7 @@ def plot(
     ] = None,
     episode: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Episode of series and poses, else the first traced."),
+        typer.Option(metavar="N", help="Episode of series and poses, else a telling one."),
     ] = None,
     against: Annotated[
         str | None,

@@ -37,6 +37,7 @@ from flipperctl.errors import (
     other_format,
 )
 from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.names import names
 from flipperctl.evaluation.play import EpisodeDigest, Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged, sampled
 from flipperctl.policies.source import PolicySource
@@ -254,8 +255,9 @@ class Replay:
         """One line about the episode: policy, terrain, conditions, index and outcome."""
         record = self.record
         conditions = f"{record.conditions['name']} {record.conditions['hash']}"
+        (policy,) = names([record.policy.label]).values()
         return (
-            f"{record.policy.label} on {self.config.terrain.title}, conditions {conditions}, "
+            f"{policy} on {self.config.terrain.title}, conditions {conditions}, "
             f"episode {record.episode}: {self.episode['outcome']}"
         )
 

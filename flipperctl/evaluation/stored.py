@@ -25,6 +25,8 @@ from flipperctl.text.files import CsvRow, read_csv
 
 FILE, SUMMARY = "episodes.csv", "summary.json"
 _KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
+_RENAMED = {**RENAMED, "policy": "policy_hash", "training": "training_hash"}
+"""New names of columns by those of version 0.3."""
 
 Episodes = dict[str, dict[str, tuple[float, bool]]]
 """Of one policy: measure and whether the finish was reached, by scene and the episode's seed."""
@@ -95,7 +97,7 @@ class _Run:
 def _policies(folder: Path, measure: str) -> dict[str, _Run]:
     """Return each policy of a folder by label, the evaluated one before its baselines."""
     path, rows = folder / FILE, dict[str, list[CsvRow]]()
-    for row in read_csv(path, (*_KEYS, measure), RENAMED):
+    for row in read_csv(path, (*_KEYS, measure), _RENAMED):
         if not is_best_known(row["controller"]):  # it stands only where it beats all others
             rows.setdefault(row["controller"], []).append(row)
     if not rows:
@@ -111,7 +113,10 @@ def _policies(folder: Path, measure: str) -> dict[str, _Run]:
 def _policy(folder: Path, method: str, rows: Sequence[CsvRow], measure: str) -> _Run:
     """Return the policy of a label, whose rows these are."""
     episodes: Episodes = {}
-    label, digests = rows[0]["controller"], {row["policy"] for row in rows if "policy" in row}
+    label, digests = (
+        rows[0]["controller"],
+        {row["policy_hash"] for row in rows if "policy_hash" in row},
+    )
     for row in rows:
         scene = f"{row['scene']} {row['conditions_hash']}"
         value = row.number(measure), row["outcome"] == Outcome.REACHED
@@ -124,7 +129,7 @@ def _policy(folder: Path, method: str, rows: Sequence[CsvRow], measure: str) -> 
                 "METHOD=DIR, is allowed"
             )
     # A rule has no training, and is no exported file either.
-    seed, training = (rows[0].get(name, "") for name in ("training_seed", "training"))
+    seed, training = (rows[0].get(name, "") for name in ("training_seed", "training_hash"))
     untrained = bool(digests) and not training and not Path(label).suffix
     is_rule = untrained or label in registered_names("controller")
     return _Run(folder, method, is_rule, episodes, frozenset(digests), seed, training)
@@ -300,9 +305,9 @@ def _doubts(method: str, runs: Sequence[_Run]) -> Iterator[str]:
         )
     if len({run.training for run in runs if run.training}) > 1:
         yield (
-            f"{method}: its policies were trained with different settings, as the column training "
-            f"of {FILE} says; trainings of one method differ in their seeds alone, and METHOD=DIR "
-            "gives others a name of their own"
+            f"{method}: its policies were trained with different settings, as the column "
+            f"training_hash of {FILE} says; trainings of one method differ in their seeds alone, "
+            "and METHOD=DIR gives others a name of their own"
         )
 
 

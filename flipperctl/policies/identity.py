@@ -75,11 +75,11 @@ class PolicyIdentity:
     @property
     def columns(self) -> dict[str, Any]:
         """Columns of ``episodes.csv``: digests of the policy and its training, and the seed."""
-        columns: dict[str, Any] = {"policy": self.digest[:_DIGITS]}
+        columns: dict[str, Any] = {"policy_hash": self.digest[:_DIGITS]}
         if self.training_seed is not None:
             columns["training_seed"] = self.training_seed
         if self.training is not None:
-            columns["training"] = _digest(without_input_paths(self.training))[:_DIGITS]
+            columns["training_hash"] = _digest(without_input_paths(self.training))[:_DIGITS]
         return columns
 
 

@@ -199,14 +199,15 @@ def _entries(
         if plays not in others:
             equal.append(entry)
 
-    # The policies, with their training seeds where these tell them apart.
+    # The policies by short names, with their training seeds where these tell them apart.
+    called = short_names([entrant.method for entrant in (*entrants, *references)])
     methods = [entrant.method for entrant in entrants]
     planned = [
         Entry(
             config,
             source,
             scene,
-            entrant.method,
+            called[entrant.method],
             entrant.training_seed if methods.count(entrant.method) > 1 else None,
         )
         for entrant, played in zip(entrants, _played(entrants, sections, tell), strict=True)
@@ -226,7 +227,7 @@ def _entries(
             rewards = EvalConfig(terrain=configs[0].terrain).rewards
             configs = [configs[0].model_copy(update={"rewards": rewards})]
         for (entrant, source), config in product(sources, configs):
-            add(Entry(config, source, equal[0].scene, entrant.method, is_baseline=True))
+            add(Entry(config, source, equal[0].scene, called[entrant.method], is_baseline=True))
     if (
         returns
         and not sets_rewards

@@ -28,7 +28,7 @@ gae_lambda: | agent.trace
 λ2, λ_2, lambda2: | rewards.pitch.lambda_2
 theta_r, theta, θ_r: | pitch variation
 total_timesteps, timesteps, n_timesteps: | train.decisions
-n_envs, num_envs, n_actors: | collector.workers
+n_envs, num_envs, n_actors: | train.workers
 eval_freq, eval_interval: | train.validate_every
 save_freq, checkpoint_freq: | train.checkpoint_every
 pretrained, finetune, fine_tune, init_from: | agent.start_from

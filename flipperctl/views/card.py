@@ -23,6 +23,7 @@ from flipperctl.config import DEFAULT_LEARNER, TrainConfig, strict_yaml
 from flipperctl.config.describe import settings
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import ConfigError, RequestError
+from flipperctl.evaluation.names import names
 from flipperctl.evaluation.store import FOLDER, played_policies
 from flipperctl.evaluation.stored import SUMMARY, read_document
 from flipperctl.policies.identity import PolicyIdentity
@@ -176,7 +177,7 @@ def _rows_of_all(folder: Path) -> list[StoredRow]:
 
 
 def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
-    """Return the stored results of a policy and its baselines; the label becomes its name."""
+    """Return the stored results of a policy and its baselines by their short names."""
     result = []
     for folder in results:
         rows, played = _rows_of_all(folder), played_policies(folder / FOLDER)
@@ -198,7 +199,8 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
                     f"{folder}: {row['method']} had other weights there than {file} has now; "
                     "evaluate it again"
                 )
-        result += rows
+        called = names([row["method"] for row in rows])
+        result += [row | {"method": called[row["method"]]} for row in rows]
     return result
 
 
@@ -325,8 +327,8 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
     references = dict.fromkeys(
         ", ".join(r["passable"]["references"]) for r in rows if "passable" in r
     )
-    for names in references:
-        yield f"Passable are the episodes that one of these crosses: {names}.\n"
+    for crossing in references:
+        yield f"Passable are the episodes that one of these crosses: {crossing}.\n"
     for label, table_rows in together.items():
         yield f"Conditions {label}:\n"
         columns = (*_COLUMNS, _PASSABLE) if references else _COLUMNS

@@ -236,7 +236,7 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
     price = f"{compared['price']:.4g}"
     notes = [
         f"Score: {label}; a failed episode counts {price}, and a crossing at most that. Its "
-        "interval allows for failures that so few episodes need not show."
+        "95 % interval allows for failures that so few episodes need not show."
     ]
     # Of fewer than four mean scores, the interquartile mean is the mean.
     same = all(m["iqm"]["mean"] == m["score"]["mean"] for m in compared["methods"])

@@ -47,6 +47,9 @@ Names = tuple[str, ...]
 """Drawn numbers whose combinations are groups, such as length, height, slope or friction."""
 ROLL = Column("roll_variation_100hz", "roll variation [rad]")
 """Column beside the pitch variation where the engine is 3-D."""
+_SUCCESS = Column("success_text", "success")
+_LATEX = r"Pitch variation $\hat\theta_R$ [rad]"
+_PITCH = Column("pitch_variation_100hz", VARIATION, latex=_LATEX)
 _SCENE, _POLICY = (Column(name, name, named=True) for name in ("scene", "policy"))
 
 
@@ -196,7 +199,6 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
     several = len({row["policy"] for row in rows}) > 1 or any(
         earlier["scene"] == other["scene"] for earlier, other in pairwise(rows)
     )
-    latex = r"Pitch variation $\hat\theta_R$ [rad]"
     counts = dict.fromkeys(
         counted(row["episodes"], "episode") for row in rows if not row.get("dim")
     )
@@ -211,14 +213,16 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
     columns_if = {
         _SCENE: not single,
         _POLICY: several,
-        Column("success_text", "success"): True,
+        _SUCCESS: True,
         Column("failures", "failures", named=True): any(row["failures"] for row in rows),
         Column("passable_text", "of passable"): any(row["passable_text"] for row in rows),
-        Column("pitch_variation_100hz", VARIATION, latex=latex): True,
-        ROLL: any(row.get(ROLL.key) is not None for row in rows) and ROLL not in further,
+        _PITCH: True,
+        ROLL: any(row.get(ROLL.key) is not None for row in rows),
         Column("time", "time [s]", 1): not timed,
     }
-    head = [*(column for column, wanted in columns_if.items() if wanted), *further]
+    head = [column for column, wanted in columns_if.items() if wanted]
+    keys = {column.key for column in head}
+    head += [column for column in further if column.key not in keys]
     # The title says what the columns leave out.
     parts = [title, *([next(iter(scenes))] if single else [])]
     text = " on ".join(part for part in dict.fromkeys(parts) if part)
@@ -293,6 +297,9 @@ def _search_text(search: Mapping[str, Any]) -> str:
 
 
 _OPTIONAL = {
+    "success_rate": _SUCCESS,
+    "pitch_variation_100hz": _PITCH,
+    "decisions": Column("decisions", "decisions", 1),
     "episodes": Column("episodes", "episodes"),
     "outcomes": Column("outcomes", "outcomes", named=True),
     "t_cost": Column("t_cost", "time [s]", 1),
@@ -338,6 +345,7 @@ def difference_rows(evaluated: Document, with_scene: bool = True) -> Iterator[Ro
                 "scene": name if with_scene else "",
                 "policy": policy,
                 "against": other["controller"],
+                "seeds": scene.get("seeds", 1),
                 "variation": other["difference"]["pitch_variation_100hz"],
                 "roll": other["difference"].get(ROLL.key),
                 "success": other["difference"]["success"],
@@ -345,7 +353,8 @@ def difference_rows(evaluated: Document, with_scene: bool = True) -> Iterator[Ro
 
 
 def _sentence(row: Row, *, several: bool, of: int) -> str:
-    text = "no episode that both reach" if row["variation"] is None else _gap(row["variation"])
+    who = "both" if row["seeds"] == 1 else f"{row['against']} and every seed"
+    text = f"no episode that {who} reach" if row["variation"] is None else _gap(row["variation"])
     if row["roll"] is not None:
         text += f", roll variation {_gap(row['roll'])}"
     who = f"{row['policy']} against {row['against']}" if several else f"against {row['against']}"
@@ -421,14 +430,16 @@ def _alike(result: Result) -> Iterator[str]:
 
 def _conditions(result: Result) -> Iterator[str]:
     """Yield a line for each set of conditions with a setting that is not the default."""
-    terrains_of: dict[str, dict[str, None]] = {}
+    scenes_of: dict[str, dict[str, None]] = {}
     for item in result.rows:
-        conditions = item.entry.conditions
-        if words := conditions.line():
-            text = f"conditions {conditions.name}: {words}"
-            terrains_of.setdefault(text, {})[item.entry.terrain] = None
-    for text, terrains in terrains_of.items():
-        yield text if len(terrains_of) == 1 else f"{', '.join(terrains)}: {text}"
+        entry = item.entry
+        words = entry.conditions.line()
+        text = f"conditions {entry.conditions.name}: {words}" if words else ""
+        scene = f"{entry.terrain}, {entry.scene}" if entry.scene else entry.terrain
+        scenes_of.setdefault(text, {})[scene] = None
+    for text, scenes in scenes_of.items():
+        if text:
+            yield text if len(scenes_of) == 1 else f"{'; '.join(scenes)}: {text}"
 
 
 def _risks(evaluated: Document) -> Iterator[str]:

@@ -104,7 +104,10 @@ def _best(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
         for name, row in best.items():
             if equals[name]:
                 others = ", ".join(f"**{policy}**" for policy in equals[name])
-                yield "", f"On {name}, {_words(row)} is not clearly better than {others}."
+                text = f"On {name}, {_words(row)} is not clearly better than {others}"
+                # Few seeds leave much open, even beside a policy that fails.
+                few = all(scenes[name][policy].get("seeds", 5) < 5 for policy in equals[name])
+                yield "", text + (", whose few training seeds differ." if few else ".")
             else:
                 yield "good", f"On {name}, {_words(row)} is best{_against(row, scenes[name])}."
     elif scenes:

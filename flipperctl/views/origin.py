@@ -52,7 +52,7 @@ def origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
         (
             Column("policy", "policy", named=True),
             Column("seed", "training seed", named=True),
-            Column("digest", "SHA-256 of weights or settings", named=True),
+            Column("digest", "SHA-256 of the file or settings", named=True),
         ),
         [
             {"policy": name, "seed": "–" if seed is None else str(seed), "digest": digest}

@@ -46,7 +46,8 @@ def table(scenes: Sequence[Document]) -> Table:
         best = {"return": scene["best_known"]["return"], "policy": "best of each episode"}
         rows.append({"scene": "", "success": "", "above_level": "", "regret": "", **best})
         rows[-len(policies) - 1]["line"] = True
-    return Table(_COLUMNS, rows, "Rewards over all episodes, without shaping; paired by seed")
+    title = "Rewards over all episodes, without shaping; paired by seed; 95 % intervals"
+    return Table(_COLUMNS, rows, title)
 
 
 def sentences(scenes: Sequence[Document]) -> Iterator[tuple[str, bool]]:
@@ -99,7 +100,7 @@ def line(measured: Mapping[str, Any] | None) -> str:
     verdict = Verdict(measured["verdict"])
     be = "is " if verdict is Verdict.UNDECIDED else ""
     return (
-        f"Check on {measured['episodes']} new episodes: {rewards}.\n"
+        f"Check on {measured['episodes']} new episodes, 95 % intervals: {rewards}.\n"
         f"The policy {be}{_WORDS[verdict]} ({interval_text(above, sign='+')}).\n"
         f"{_level_line(measured)}"
     )

@@ -30,7 +30,7 @@ from flipperctl.rollout.episode import SEARCH
 from flipperctl.rollout.risks import AHEAD, Ended, EpisodeRisks, agreement
 
 Document = dict[str, Any]
-_MEASURED = tuple(name for name in CORE if name not in ("decisions", "max_pitch"))
+_MEASURED = tuple(name for name in (*CORE[1:], CORE[0]) if name != "max_pitch")
 """Measures over the episodes that reached the finish alone."""
 _COMPARED = ("t_cost", "pitch_variation_decisions", "pitch_variation_100hz")
 VARIATION = "pitch variation [rad]"  # heading of the first figure, θ̂_R at 100 Hz

@@ -11,7 +11,7 @@ import pytest
 from tests.cli.call import call, refused
 
 HEAD = ("scene", "controller", "conditions_hash", "seed", "outcome", "pitch_variation_100hz")
-MORE = ("policy", "training_seed", "training", "method")
+MORE = ("policy_hash", "training_seed", "training_hash", "method")
 
 
 def write(
