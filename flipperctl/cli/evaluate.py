@@ -84,8 +84,8 @@ def evaluate(
     trained network; terrain=a,b evaluates on both. A trained policy is evaluated on its own terrain
     by default.
 
-    conditions=… chooses physics, sensing, start and randomisation: nominal (the default), varied,
-    wide, or trained (those of the checkpoint). Other settings are applied on top.
+    conditions=… chooses physics, sensing, start and randomisation: nominal (the default), trained
+    (those of the checkpoint), or one of flipperctl list conditions. Other settings apply on top.
 
     Repeat a command with the same --output to play only what is missing.
 

@@ -263,7 +263,7 @@ class SelfTest:
             text += "" if refused is None else f": {refused.reason}"
             return Verdict(sign, device, None, text)
         if grown > 0:
-            text = f"{sign}: right ({device}, {grown:+.2f} {part.unit})"
+            text = f"{sign}: ok ({device}, {grown:+.2f} {part.unit})"
             return Verdict(sign, device, True, text)
         advice = f"set signs.{sign} to {-getattr(self._setup.signs, sign)}"
         text = (

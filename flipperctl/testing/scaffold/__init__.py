@@ -48,7 +48,7 @@ _USAGE = {
         "flipperctl eval okada --baseline level terrain=step{plugins}",
         "flipperctl train terrain=step{plugins}",
     ),
-    "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),
+    "logger": ("flipperctl train 'logger=[tensorboard,{name}]'{plugins}",),
     "command": ("flipperctl {name} okada{plugins}",),
 }
 
