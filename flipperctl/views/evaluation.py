@@ -430,16 +430,18 @@ def _alike(result: Result) -> Iterator[str]:
 
 def _conditions(result: Result) -> Iterator[str]:
     """Yield a line for each set of conditions with a setting that is not the default."""
-    scenes_of: dict[str, dict[str, None]] = {}
+    scenes_of: dict[tuple[str, str], dict[str, None]] = {}
     for item in result.rows:
         entry = item.entry
-        words = entry.conditions.line()
-        text = f"conditions {entry.conditions.name}: {words}" if words else ""
         scene = f"{entry.terrain}, {entry.scene}" if entry.scene else entry.terrain
-        scenes_of.setdefault(text, {})[scene] = None
-    for text, scenes in scenes_of.items():
-        if text:
-            yield text if len(scenes_of) == 1 else f"{'; '.join(scenes)}: {text}"
+        conditions = entry.conditions.name, entry.conditions.line()
+        scenes_of.setdefault(conditions, {})[scene] = None
+    # Rows of conditions with names of their own need not be named again.
+    told = [(name, words) for name, words in scenes_of if words]
+    for name, words in told:
+        text = f"conditions {name}: {words}"
+        alone = len(told) == 1 == [other for other, _ in scenes_of].count(name)
+        yield text if alone else f"{'; '.join(scenes_of[name, words])}: {text}"
 
 
 def _risks(evaluated: Document) -> Iterator[str]:

@@ -110,8 +110,8 @@ def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
     assert one.training_seed is not None
     result = evaluate([(config(1), shipped)], store=FolderStore(tmp_path / "cells"))
     (row,) = episode_rows(result)
-    assert (row["policy"], row["training_seed"]) == (one.digest[:16], one.training_seed)
-    assert len(row["training"]) == 16
+    assert (row["policy_hash"], row["training_seed"]) == (one.digest[:16], one.training_seed)
+    assert len(row["training_hash"]) == 16
     assert list(played_policies(tmp_path / "cells").values()) == [{one.digest}]
     assert one.training is not None
     assert one.training["network"]["name"] == "at_d3qn"

@@ -39,7 +39,7 @@ def test_every_pair_can_be_compared_and_has_a_row_of_its_own() -> None:
     assert largest["p_success_holm"] == pytest.approx(3 * largest["p_success"])
     names = {"measure": "m", "price": 6.28, "episodes": {"0": 10}, "notices": [], "methods": found}
     table, gaps = tables(names, "m [rad]")
-    note = "Score: m [rad]; a failed episode counts 6.28, and a crossing at most that. Its interval"
+    note = "Score: m [rad]; a failed episode counts 6.28, and a crossing at most that. Its 95 %"
     assert [text[: len(note)] for text in table.notes] == [note]
     assert [row["other"] for row in gaps.rows] == ["a", "a", "b"]
 

@@ -38,6 +38,7 @@ def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> Non
         "pitch_variation_decisions": estimate([99.0, 17.0]),
         "pitch_variation_100hz": estimate([198.0, 34.0]),
         "flipper_travel": estimate([297.0, 51.0]),
+        "decisions": found["not_reached"]["decisions"],
     }
     assert summary("step", episodes(rows[:2]))["not_reached"] is None
 
