@@ -215,6 +215,8 @@ def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(sweep: Path) -> None
         rows = list(csv.DictReader((Path("out") / file).read_text().splitlines()))
         assert {row["training_seed"] for row in rows} == {"4", "9", ""}  # a rule has none
         assert {row["method"] for row in rows} == {"sweep", "level", "geometric"}
+    summary = json.loads((Path("out") / "summary.json").read_text())
+    assert {scene["method"] for scene in summary["scenes"]} == {"sweep", "level", "geometric"}
 
 
 def test_runs_of_one_seed_that_began_with_several_runs_are_several_methods(sweep: Path) -> None:

@@ -54,6 +54,8 @@ TRAININGS = {
 def training(name: str) -> str:
     """Return the command that trains one of them into the folder of its name."""
     own = {word.partition("=")[0] for word in TRAININGS[name].split()}
+    if "experiment=refined" in TRAININGS[name]:  # another learner
+        own |= {"agent.learning_starts", "agent.epsilon_decisions"}
     short = [word for word in _SHORT.split() if word.partition("=")[0] not in own]
     folder = "hydra.sweep.dir" if name == "sweep" else "hydra.run.dir"
     return f"train {TRAININGS[name]} {' '.join(short)} {folder}={name}"

@@ -26,7 +26,7 @@ def test_the_command_of_the_robot_answers_as_the_module_does(
     (tmp_path / "m.jsonl").write_text("\n".join(LINES))
     status = _main(["--self-test", str(tmp_path / "m.jsonl"), "--signs", "rep103"])
     told = capsys.readouterr().out
-    assert (status, told.count("right (")) == (0, 6)
+    assert (status, told.count("ok (")) == (0, 6)
     assert told.splitlines()[0] == "1 of 6: Raise the front flippers by 15° or more."
     assert told.splitlines()[-1] == "All is right."
     done = call("robot", "self-test", "m.jsonl", "--signs", "rep103", cwd=tmp_path)
@@ -47,7 +47,7 @@ def test_each_wrong_sign_is_named(capsys: pytest.CaptureFixture) -> None:
     assert "set signs.pitch to -1" in told
     assert "set signs.yaw to 1" in told
     assert "Wrong signs: front, pitch." in told
-    assert told.count("right (") == 8
+    assert told.count("ok (") == 8
 
 
 def test_an_x_axis_to_the_rear_is_named() -> None:

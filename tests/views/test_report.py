@@ -13,7 +13,7 @@ from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import write as write_traces
 from flipperctl.text.files import write_json
 from flipperctl.text.show import Column, Table, html
-from flipperctl.views import evaluation, report
+from flipperctl.views import evaluation, findings, report
 from tests.cli.call import call, refused
 from tests.evaluation.samples import result, sample
 from tests.figures.test_figures import trace
@@ -80,6 +80,22 @@ def test_a_failure_of_another_hides_no_difference_that_the_table_shows(tmp_path:
     told = words(report.page(folder(tmp_path / "a", rows(mine), {"geometric": theirs})))
     assert "not clearly better" not in told
     assert "On step, mine (success 100 %, pitch variation 1.05 rad) is best" in told
+
+
+def test_few_training_seeds_that_differ_are_named_as_the_reason() -> None:
+    def row(policy: str, low: float, high: float, **more: int) -> dict[str, Any]:
+        success = {"mean": 1.0, "low": 0.8, "high": 1.0}
+        variation = {"mean": (low + high) / 2, "low": low, "high": high}
+        own = {"scene": "step", "policy": policy, "success": success}
+        return own | {findings.VARIATION: variation} | more
+
+    rivals = [row("rule", 0.9, 1.1), row("mine (2 seeds)", 0.2, 3.0, seeds=2)]
+    ((_, told),) = findings._best(rivals, {})
+    assert told.endswith(
+        "not clearly better than **mine (2 seeds)**, whose few training seeds differ."
+    )
+    ((_, told),) = findings._best([*rivals[:1], row("other", 0.8, 1.4)], {})
+    assert told.endswith("not clearly better than **other**.")
 
 
 def test_a_page_of_an_interrupted_evaluation_says_how_far_it_went(tmp_path: Path) -> None:
