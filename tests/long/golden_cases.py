@@ -95,7 +95,7 @@ EVALUATIONS = (
         "seeds": "eval --json --checkpoint sweep --controller okada terrain=stair,ramp "
         "--episodes 6 --output seeds",
         "by": f"{_OKADA} --baseline level terrain=stair conditions=varied --episodes 24 "
-        "--by steps+up,friction --output by",
+        "--by steps+up,sim.friction --output by",
         "suite": f"{_OKADA},level suite=suite.yaml --episodes 4",
         "shipped suite": f"{_OKADA} suite=families --episodes 2",
         "passable": "eval --json --controller level terrain=plum --passable okada --episodes 12",
