@@ -195,30 +195,30 @@ class WatchPage:
 
     def received(self, client: int, message: str) -> None:
         """Leave a wish, which the loop reads; ``ValueError`` if the message is none."""
-        asked, wish = _MESSAGES.validate_json(message, strict=True), self._wish
-        if isinstance(asked, _Do):
-            if asked.what == "pause":
+        parsed, wish = _MESSAGES.validate_json(message, strict=True), self._wish
+        if isinstance(parsed, _Do):
+            if parsed.what == "pause":
                 wish.paused = not wish.paused
-            elif asked.what == "step":
+            elif parsed.what == "step":
                 wish.paused = True
                 wish.steps += 1
             else:
-                move = {"next": 1, "previous": -1}.get(asked.what, 0)
+                move = {"next": 1, "previous": -1}.get(parsed.what, 0)
                 wish.episode = max(0, self._episode + move)
-        elif isinstance(asked, _Add):
-            wish.names.append(asked.name)
-        elif isinstance(asked, _Show):
-            if asked.number < len(self._shown):
-                self._shown[asked.number] = asked.on
+        elif isinstance(parsed, _Add):
+            wish.names.append(parsed.name)
+        elif isinstance(parsed, _Show):
+            if parsed.number < len(self._shown):
+                self._shown[parsed.number] = parsed.on
                 wish.changed, wish.episode = True, self._episode
-        elif asked.name == "dark":
-            wish.dark = asked.value
-        elif asked.name == "episode":
-            wish.episode = int(asked.value)
+        elif parsed.name == "dark":
+            wish.dark = parsed.value
+        elif parsed.name == "episode":
+            wish.episode = int(parsed.value)
         else:
-            whole = asked.name == "seed"
-            self._fields[asked.name] = int(asked.value) if whole else asked.value
-            if asked.name in ("difficulty", "seed"):
+            whole = parsed.name == "seed"
+            self._fields[parsed.name] = int(parsed.value) if whole else parsed.value
+            if parsed.name in ("difficulty", "seed"):
                 wish.episode = self._episode
         self._tell()
 

@@ -144,12 +144,12 @@ def _commands(recording: Recording, devices: Devices, times: FloatArray) -> Floa
     return np.empty((0, 3))
 
 
-def robot_file(bag: Path, robot: Robot, told: dict[str, Estimate]) -> str:
+def robot_file(bag: Path, robot: Robot, estimates: dict[str, Estimate]) -> str:
     """Return the text of a robot's file: what the bag tells, and all else as ``robot`` has it."""
-    slides = told["sim.friction"]
+    slides = estimates["sim.friction"]
     ranges = " ".join(
         f"'randomise.{key}=[{estimate.low:.4g},{estimate.high:.4g}]'"
-        for key, estimate in told.items()
+        for key, estimate in estimates.items()
         if estimate.best is not None
     )
     lines = [
@@ -159,7 +159,7 @@ def robot_file(bag: Path, robot: Robot, told: dict[str, Estimate]) -> str:
         *([f"# Train over the intervals: {ranges}"] if ranges else []),
     ]
     for name, value in robot.model_dump(exclude_none=True).items():
-        if (estimate := told.get(f"robot.{name}")) is None:
+        if (estimate := estimates.get(f"robot.{name}")) is None:
             lines.append(f"{name}: {value}")
         else:
             likely = estimate.near(value)

@@ -437,10 +437,10 @@ def _conditions(result: Result) -> Iterator[str]:
         conditions = entry.conditions.name, entry.conditions.line()
         scenes_of.setdefault(conditions, {})[scene] = None
     # Rows of conditions with names of their own need not be named again.
-    told = [(name, words) for name, words in scenes_of if words]
-    for name, words in told:
+    varied = [(name, words) for name, words in scenes_of if words]
+    for name, words in varied:
         text = f"conditions {name}: {words}"
-        alone = len(told) == 1 == [other for other, _ in scenes_of].count(name)
+        alone = len(varied) == 1 == [other for other, _ in scenes_of].count(name)
         yield text if alone else f"{'; '.join(scenes_of[name, words])}: {text}"
 
 
