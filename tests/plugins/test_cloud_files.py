@@ -140,7 +140,7 @@ def test_the_pose_of_a_pcd_is_said_or_applied(
     [
         ("x y z i", "{0} {1} {2} 7", None),
         ("I,X,Y,Z", "7,{0},{1},{2}", None),
-        ("", "{0};;{2}", "only 0 points"),
+        ("", "{0};;{2}", "found: 0"),
         ("x y z", "{0} {1} up", "line 2: x, y and z must .* '-0\\.350', 'up'\\)"),
     ],
 )
