@@ -139,46 +139,49 @@ def build_policy(
     """Build a policy's network, from (B, frames · n) to Q-values (B, 3^J) or rates (B, J).
 
     The hyperbolic tangent of what the plugin's network returns makes rates from -1 to 1 of it. The
-    Q-values of pairs are what it returns; those of more joints are made of three numbers of each.
+    Q-values of pairs are what it returns, those of four flippers are made of nine for each side.
     """
     joints = len(layout.joints)
     if kind == "turns" and joints == 2:
         return build_network(network, layout, outputs(kind))
-    built = build_network(network, layout, joints if kind == "rates" else 3 * joints)
+    built = build_network(network, layout, joints if kind == "rates" else 9 * (joints // 2))
     module: torch.nn.Module = torch.nn.Sequential(built, torch.nn.Tanh())
     if kind == "turns":
         distributional = isinstance(built, Distributional)
-        module = (QuantileBranches if distributional else Branches)(built, joints)
+        module = (QuantileBranches if distributional else Branches)(built)
     record_plugin(module, network)
     return module
 
 
 class Branches(torch.nn.Module):
-    """Q-values of all actions by a branch of three values for each joint, as their mean.
+    """Q-values of all actions of four flippers by a branch of nine values for each side.
 
-    With dueling heads, these have one V in common and an advantage for each turn of each joint:
-    Q(s, a) = V + mean over joints of A_j(a_j) - mean A_j (Tavakoli et al. 2018, "Action branching
-    architectures", Eq. 1). The best action has the best turn of each joint, and its value is the
-    mean of the branches' values, as in their target (Eq. 6). All joints learn from one error, that
-    of the mean (Seyde et al. 2023, "Solving continuous control via Q-learning").
+    A branch has the turns of its side's front and rear flipper, and a Q-value is the mean of both
+    branches'. With dueling heads, these have one V in common and an advantage for each pair of
+    turns: Q(s, a) = V + mean over sides of A_s(a_s) - mean A_s (Tavakoli et al. 2018, "Action
+    branching architectures", Eq. 1, who have a branch for each joint). The best action has the best
+    turns of each side, and its value is the mean of the branches' values, as in their target
+    (Eq. 6). Both learn from one error, that of the mean (Seyde et al. 2023, "Solving continuous
+    control via Q-learning"). What one flipper shall do depends much on the other of its side, and
+    little on those of the other side.
     """
 
-    def __init__(self, branches: torch.nn.Module, joints: int) -> None:
-        """``branches`` maps (B, …) to (B, 3 J), joint by joint."""
+    def __init__(self, branches: torch.nn.Module) -> None:
+        """``branches`` maps (B, …) to (B, 18): nine of the left side, nine of the right one."""
         super().__init__()
-        self.branches, self.joints = branches, joints
+        self.branches = branches
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Map (B, …) to Q-values (B, 3^J) in the order of ``actions_of``."""
+        """Map (B, …) to Q-values (B, 81) in the order of ``actions_of``."""
         return self._joined(self.branches(observation))
 
-    def _joined(self, values: torch.Tensor) -> torch.Tensor:
-        """Return the means of all combinations of the branches' values, (B, 3 J, …)."""
-        total = values[:, :3]
-        for joint in range(1, self.joints):
-            branch = values[:, 3 * joint : 3 * joint + 3]
-            total = (total.unsqueeze(2) + branch.unsqueeze(1)).flatten(1, 2)
-        return total / self.joints
+    @staticmethod
+    def _joined(values: torch.Tensor) -> torch.Tensor:
+        """Return the means of all combinations of both branches' values, (B, 18, …)."""
+        # Turns of front and rear: of the left side, then of the right one
+        left, right = values[:, :9].unflatten(1, (3, 3)), values[:, 9:].unflatten(1, (3, 3))
+        total: torch.Tensor = left[:, :, None, :, None] + right[:, None, :, None, :]
+        return total.flatten(1, 4) / 2
 
 
 class QuantileBranches(Branches):

@@ -89,7 +89,7 @@ def _same_network(
     seen = seen_by(layout, wide, config.network.frames)
     rows, outputs, branches = random_rows(len(seen)), built, None
     if len(wide.joints) != len(layout.joints):
-        branches = branches_of(len(layout.joints), len(wide.joints))
+        branches = branches_of(3 ** len(layout.joints))
         outputs = built.get_submodule("branches")
     try:
         if layout == wide:

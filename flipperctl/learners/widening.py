@@ -10,7 +10,6 @@ from __future__ import annotations
 import torch
 
 from flipperctl.api import ObservationLayout
-from flipperctl.core.targets import actions_of
 
 
 def seen_by(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> torch.Tensor:
@@ -31,21 +30,9 @@ def seen_by(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> 
     return torch.kron(torch.eye(frames), single)
 
 
-def branches_of(joints: int, more: int) -> torch.Tensor:
-    """Return the matrix that makes branches of ``more`` joints from Q-values of J, (3 · more, 3^J).
-
-    The mean of the branches is the mean Q-value, and what the turn of each joint adds to it in the
-    mean over the turns of the others. Between the joints of the first table, nothing else is kept.
-    """
-    actions = torch.tensor(actions_of(joints))
-    mean = torch.full((1, len(actions)), 1 / len(actions))
-    rows = []
-    for joint in range(joints):
-        for turn in (-1, 0, 1):
-            alike = (actions[:, joint] == turn).float().unsqueeze(0)
-            adds = alike / alike.sum() - mean
-            rows.append(mean + joints * adds)
-    return torch.cat(rows).view(joints, 3, -1).repeat_interleave(more // joints, 0).flatten(0, 1)
+def branches_of(actions: int) -> torch.Tensor:
+    """Return the matrix that gives both sides the Q-values of pairs, (2 · A, A)."""
+    return torch.eye(actions).repeat(2, 1)
 
 
 def random_rows(size: int) -> torch.Tensor:

@@ -62,22 +62,22 @@ def test_the_side_plane_refuses_four() -> None:
 
 
 def test_branches_have_the_targets_of_their_paper() -> None:
-    # Tavakoli et al. 2018, Eq. 1: one V, and advantages of each joint less their mean
+    # Tavakoli et al. 2018, Eq. 1: one V, and advantages of each side less their mean
     rng = np.random.default_rng(0)
-    value, advantages = rng.normal(size=5), rng.normal(size=(2, 5, 4, 3))
+    value, advantages = rng.normal(size=5), rng.normal(size=(2, 5, 2, 9))
     dueling = value[:, None, None] + advantages - advantages.mean(axis=3, keepdims=True)
-    # A head that subtracts the mean of all twelve, as Dueling does, gives the same
+    # A head that subtracts the mean of all 18, as Dueling does, gives the same
     heads = advantages - advantages.mean(axis=(2, 3), keepdims=True) + value[:, None, None]
-    online, target = (Branches(torch.nn.Flatten(), 4)(torch.tensor(h)) for h in heads)
+    online, target = (Branches(torch.nn.Flatten())(torch.tensor(h)) for h in heads)
     assert online.shape == (5, 81)
-    # Eq. 6: the mean over joints of the target's values of the best turns online
+    # Eq. 6: the mean over sides of the target's values of the best turns online
     reward, discount = rng.normal(size=5), rng.random(5)
     best = dueling[0].argmax(axis=2)
     after = np.take_along_axis(dueling[1], best[:, :, None], axis=2)[:, :, 0].mean(axis=1)
     targets = double_q_target(torch.tensor(reward), torch.tensor(discount), online, target)
     assert targets.tolist() == pytest.approx((reward + discount * after).tolist())
-    turns = np.array(actions_of(4))[online.argmax(dim=1)] + 1
-    assert turns.tolist() == best.tolist()
+    turns = np.array(actions_of(4))[online.argmax(dim=1)].reshape(5, 2, 2)
+    assert (turns.transpose(0, 2, 1) == np.array(ACTIONS)[best]).all()
 
 
 @pytest.mark.slow
