@@ -179,7 +179,8 @@ class Branches(torch.nn.Module):
     def _joined(values: torch.Tensor) -> torch.Tensor:
         """Return the means of all combinations of both branches' values, (B, 18, …)."""
         # Turns of front and rear: of the left side, then of the right one
-        left, right = values[:, :9].unflatten(1, (3, 3)), values[:, 9:].unflatten(1, (3, 3))
+        sides = values.reshape(-1, 2, 3, 3, *values.shape[2:])
+        left, right = sides[:, 0], sides[:, 1]
         total: torch.Tensor = left[:, :, None, :, None] + right[:, None, :, None, :]
         return total.flatten(1, 4) / 2
 
