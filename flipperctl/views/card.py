@@ -317,7 +317,9 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
         return
     yield (
         "θ̂_R is the sum of the absolute pitch changes, at 100 Hz and at decisions, over the "
-        "episodes that reached the finish; 95 % intervals. The last table has paired differences.\n"
+        "episodes that reached the finish; 95 % intervals."
+        + " The last table has paired differences.\n"
+        * any(row["difference"] for row in rows)
     )
     # A table for each set of conditions, then the differences
     together: dict[str, list[StoredRow]] = {}

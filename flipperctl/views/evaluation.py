@@ -207,7 +207,7 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
     further = [
         column
         for name, column in known_columns().items()
-        if name in wanted_names and any(row.get(column.key) is not None for row in rows)
+        if name in wanted_names and any(row.get(column.key) not in (None, "") for row in rows)
     ]
     timed = any(column.key == "t_cost" for column in further)  # which has the interval as well
     columns_if = {
@@ -408,8 +408,9 @@ def print_result(result: Result, evaluated: Document, columns: Sequence[str]) ->
             out.print()
         print_table(table, out)
     failures = engines.failure_lines(evaluated.get("engines", ()))
-    more = () if columns else ("95 % intervals. More columns: --columns all",)
-    print_lines(out, (*failures, *_conditions(result), *_risks(evaluated), *more))
+    more = "" if columns else " More columns: --columns all"
+    lines = *failures, *_conditions(result), *_risks(evaluated), f"95 % intervals.{more}"
+    print_lines(out, lines)
 
 
 def _alike(result: Result) -> Iterator[str]:
