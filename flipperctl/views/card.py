@@ -266,7 +266,7 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
     yield (
         f"It controls the flippers of a tracked robot (chassis {robot.chassis_length:g} m, "
         f"flippers {robot.flipper_length:g} m, tracks {robot.track_speed:g} m/s): at each decision "
-        "it maps terrain heights, flipper angles and pitch to one of nine turns of the flippers. "
+        "it maps terrain heights, flipper angles and pitch to turns of the flippers. "
         "It was trained in simulation; nothing here says how it does on a robot.\n"
     )
     yield "## How it was trained\n"
@@ -274,10 +274,13 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
     state = document.state
     count = document.decision if state is None or document.decision is not None else state.decision
     seconds = summary_of(policy).get("seconds")
-    decisions = "" if count is None else f", {count:,} decisions"
+    whole = "" if seconds is None else f" ({seconds:,.0f} s in all)"
+    decisions = (
+        "" if count is None else f", after {count:,} of {config.train.decisions:,} decisions"
+    )
     yield (
         f"Network `{config.network.plugin_name}` on the terrain `{config.terrain.title}`, "
-        f"seed {config.seed}{decisions}{'' if seconds is None else f' in {seconds:,.0f} s'}, with "
+        f"seed {config.seed}{decisions}{whole}, with "
         f"flipperctl {document.versions['flipperctl']}.\n"
     )
     # The command, if the run's folder has it, and what it and presets changed
