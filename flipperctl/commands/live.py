@@ -148,9 +148,9 @@ def drive(
     keys drive; Q and A turn the front flippers, E and D the rear ones; ? shows all keys. A gamepad
     and buttons on the page do the same. If the browser is gone, the robot stops.
 
-    Each drive is an episode that eval and replay play again, and from which a policy
-    learns. Episode 0 is the first one of eval with the same settings. With --with, a policy turns
-    the flippers until you take them; P gives them back.
+    Each drive is an episode that eval and replay play again, and from which a policy learns.
+    Episode 0 is the first one of eval with the same settings. With --with, a policy turns the
+    flippers until you take them; P gives them back.
 
     [bold]Examples[/]
 

@@ -18,7 +18,7 @@ from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.errors import ConfigError
 from flipperctl.learners.pair import NetworkPair
-from flipperctl.learners.widening import branches_of, give_weights, random_rows, seen_by
+from flipperctl.learners.widening import give_weights, random_rows, seen_by
 from flipperctl.policies.source import check_layout, load_policy
 from flipperctl.policies.trained import naming, policy_module, policy_risk
 
@@ -89,7 +89,7 @@ def _same_network(
     seen = seen_by(layout, wide, config.network.frames)
     rows, outputs, branches = random_rows(len(seen)), built, None
     if len(wide.joints) != len(layout.joints):
-        branches = branches_of(3 ** len(layout.joints))
+        branches = torch.eye(3 ** len(layout.joints)).repeat(2, 1)  # each side as the pairs
         outputs = built.get_submodule("branches")
     try:
         if layout == wide:

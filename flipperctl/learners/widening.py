@@ -30,11 +30,6 @@ def seen_by(layout: ObservationLayout, wide: ObservationLayout, frames: int) -> 
     return torch.kron(torch.eye(frames), single)
 
 
-def branches_of(actions: int) -> torch.Tensor:
-    """Return the matrix that gives both sides the Q-values of pairs, (2 · A, A)."""
-    return torch.eye(actions).repeat(2, 1)
-
-
 def random_rows(size: int) -> torch.Tensor:
     """Return random input rows, more than a layer has inputs, the same at each call, (R, size)."""
     return torch.randn((2 * size, size), generator=torch.Generator().manual_seed(0))

@@ -149,16 +149,16 @@ class Hands:
         # Pressed steps and held rates add up; the pair of a flipper that is turned belongs to the
         # operator from then on.
         robot, half = self._robot, self._joints // 2
-        asked = [
+        wanted = [
             (step - before) * robot.angle_step + rate * robot.flipper_speed * self._period
             for step, before, rate in zip(now, steps, request.rates, strict=True)
         ]
-        for end, pair in enumerate((asked[:half], asked[half:])):
+        for end, pair in enumerate((wanted[:half], wanted[half:])):
             self.owned[end] |= any(pair)
         turns = [
             turn if mine else proposal * robot.angle_step
             for turn, mine, proposal in zip(
-                asked, alike(self.owned, self._joints), proposed, strict=True
+                wanted, alike(self.owned, self._joints), proposed, strict=True
             )
         ]
         turned = self._rule.next_targets(targets, angles_of(state), turns)

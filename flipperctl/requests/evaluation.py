@@ -244,7 +244,7 @@ def episode_rows(result: Result) -> Iterator[Row]:
         conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
         for row in item.episodes:
             numbers = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
-            yield {**who, **numbers, **conditions, **policy, **entry.names, **who}
+            yield {**who, **numbers, **conditions, **policy, **entry.names}
 
 
 def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]]:

@@ -399,21 +399,21 @@ def _loads(
     flippers = 0.5 * (x[0] + x[1]), 0.5 * (x[3] + x[2])
     centre = (robot.carried_mass * body + robot.flipper_mass * sum(flippers)) / robot.mass
     # The load on the tip, for each end that may carry the other side
-    tip, own, others = (3, 2, (1, 0)) if pair == 0 else (0, 1, (2, 3))
+    tip, same, others = (3, 2, (1, 0)) if pair == 0 else (0, 1, (2, 3))
     weight = robot.mass * GRAVITY
     needs, rubs = [], []
     for other in others:
         load = weight * (centre - x[other]) / (x[tip] - x[other])
         possible = touches[tip] & touches[other] & (load > 0) & (load < weight)
-        need = load * np.abs(x[tip] - x[own]) - robot.flipper_mass * GRAVITY * np.abs(
-            flippers[1 - pair] - x[own]
+        need = load * np.abs(x[tip] - x[same]) - robot.flipper_mass * GRAVITY * np.abs(
+            flippers[1 - pair] - x[same]
         )
         needs.append(np.where(possible, need, math.nan))
-        height = robot.track_radius + gap[own]
+        height = robot.track_radius + gap[same]
         rubs.append(np.where(possible, rubbing * np.minimum(load, weight - load) * height, 0.0))
     with np.errstate(invalid="ignore"):
         least, most = np.fmin(*needs), np.fmax(*needs)
-    return least, most, np.maximum(*rubs), ~touches[own]
+    return least, most, np.maximum(*rubs), ~touches[same]
 
 
 def estimates(motion: Motion, robot: Robot, tilt_error: float) -> dict[str, Estimate]:

@@ -318,11 +318,11 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
     if not rows:
         yield "None yet: `flipperctl card POLICY RESULT_DIR` adds those of `eval --output`.\n"
         return
+    gaps = [_texts(row) for row in rows if row["difference"] is not None]
+    paired = " The last table has paired differences." if gaps else ""
     yield (
         "θ̂_R is the sum of the absolute pitch changes, at 100 Hz and at decisions, over the "
-        "episodes that reached the finish; 95 % intervals."
-        + " The last table has paired differences.\n"
-        * any(row["difference"] for row in rows)
+        f"episodes that reached the finish; 95 % intervals.{paired}\n"
     )
     # A table for each set of conditions, then the differences
     together: dict[str, list[StoredRow]] = {}
@@ -338,7 +338,7 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
         yield f"Conditions {label}:\n"
         columns = (*_COLUMNS, _PASSABLE) if references else _COLUMNS
         yield from (*markdown(Table(columns, table_rows)), "")
-    if gaps := [_texts(row) for row in rows if row["difference"] is not None]:
+    if gaps:
         yield from (*markdown(Table(_DIFFERENCES, gaps)), "")
 
 

@@ -312,7 +312,7 @@ _OPTIONAL = {
     "not_reached": Column("not_reached_variation", "pitch variation where not reached [rad]"),
     "search": Column("search", "search", named=True),
 }
-"""Columns of the table of policies that are shown on request, by name."""
+"""Columns that ``--columns`` names; the first two always stand in the table of policies."""
 
 
 def known_columns() -> dict[str, Column]:
@@ -475,7 +475,7 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
         for label, numbers in ((first, scene), *((other["controller"], other) for other in others)):
             row: Row = {
                 "scene": scene["terrain"],
-                "method": called[method or label],
+                "method": method or called[label],
                 "controller": label,
                 "n": numbers["episodes"],
                 "reached": numbers["outcomes"]["reached"],

@@ -197,6 +197,7 @@ def _row(group: Sequence[SweepRun]) -> dict[str, Any]:
     return {
         "success": f"{100 * mean(rates):.3g} %" if rates else NONE,
         "variation": variation,
+        "is_range": len(variations) > 1,
         "t_cost": mean(times) if times else None,
         "runs": named + (f" ({', '.join(states)})" if states else ""),
     }
@@ -230,8 +231,8 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     left = len(shown) - _ROWS
     more = f"{counted(left, 'more row')} and the table" if left > 0 else "the table"
     text = f"{more}: {quote_path(folder / FILE)}"
-    is_range = any("(" in row["variation"] for row in rows)
-    ranges = ["In parentheses: the least and the largest of the runs."] * is_range
+    ranged = any(row["is_range"] for row in rows)
+    ranges = ["In parentheses: the least and the largest of the runs."] * ranged
     print_lines(out, [*ranges, text])
 
 
