@@ -61,6 +61,17 @@ PLUGIN_KEYS: Mapping[str, str] = {
 """Kind of plugin → key of its settings."""
 
 
+_FURTHER = {
+    "conditions": {"trained": "Those of the policy's training, which its checkpoint holds"},
+    "measure": {
+        "outcomes": "How many episodes ended as reached, overturned, stuck and timeout",
+        "return": "Sum of the rewards of an episode",
+        "success_rate": "Share of the episodes that reached the finish",
+    },
+}
+"""Names that are in no file and of no plugin, by group."""
+
+
 class Group(NamedTuple):
     """How a plugin, a preset or a policy is used."""
 
@@ -161,10 +172,11 @@ def entries(group: str) -> list[Entry]:
         }
         inside |= {package.package: f"broken: {package.reason}" for package in broken}
         return [Entry(group, name, text) for name, text in sorted(inside.items())]
+    further = [Entry(group, name, text) for name, text in _FURTHER.get(group, {}).items()]
     if any(kind == group for kind, _ in registry):
         classes = [(name, cls) for (kind, name), cls in sorted(registry.items()) if kind == group]
-        return [Entry(group, name, summary(cls).rstrip(".")) for name, cls in classes]
-    return [preset(group, name, file) for name, file in files(group).items()]
+        return [Entry(group, name, summary(cls).rstrip(".")) for name, cls in classes] + further
+    return [preset(group, name, file) for name, file in files(group).items()] + further
 
 
 def presets() -> Iterator[Entry]:

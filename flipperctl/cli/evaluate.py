@@ -31,7 +31,9 @@ def evaluate(
     baseline: Annotated[
         str | None,
         typer.Option(
-            metavar="NAMES", help="Controllers to compare with, such as level,geometric, or none."
+            metavar="NAMES",
+            help="Controllers to compare with, or none. Beside several policies level,geometric; one "
+            "alone has none, or a planner its own.",
         ),
     ] = None,
     passable: Annotated[

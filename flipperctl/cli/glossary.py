@@ -15,8 +15,11 @@ AT-D3QN: The paper's network and learner: a double dueling DQN with separate lay
     and the robot. network=at_d3qn
 baseline: A controller that policies are compared with on the same episodes, such as level or
     geometric.
-best validation: The validation of a training with the most reward (train.best_by). Its weights
-    are the run's policy.
+best known: The best policy that eval has stored for these episodes, a row of its table where it
+    beats all others.
+best validation: The validation of a training with the largest mean return, or as train.best_by
+    says. Its weights are the run's policy.
+Brier score: The mean squared difference between a risk and what came, 1 for a failure and 0 else.
 bin: A piece of the ground 0.15 m long around the robot. The observation holds the mean height of
     each of 15 bins, and their highest points.
 checkpoint: A file with the weights of a policy and its whole configuration. best.safetensors is
@@ -24,7 +27,7 @@ checkpoint: A file with the weights of a policy and its whole configuration. bes
 conditions: A named set of physics, sensing, start and randomisation under which policies are
     trained or evaluated. nominal, the default, randomises nothing.
 controller: A policy that is a plugin: a rule, a planner, or one that drives by a trained network,
-    such as greedy.
+    such as greedy. The column controller of files names any policy.
 decision: One step of the environment: the policy chooses an action, and the robot drives for 0.6
     s (robot.control_period). Other libraries call it a step.
 Δ: A difference to a baseline on the same episodes. Below 0 is better for pitch variation and time,
@@ -66,7 +69,7 @@ policy: What chooses the actions: a run, a checkpoint, an .onnx file, a shipped 
 price: What an episode that is not reached counts in a score; 2π rad for pitch variation.
 profile: The ground in the robot's side view: a line of points (x, z) [m].
 reached: Outcome: the robot passed the finish and stands on the ground again.
-regret: The reward that a policy misses compared with the best of several references on the same
+regret: The return that a policy misses compared with the best of several references on the same
     episodes (inspect reward --regret).
 return: The sum of the rewards of an episode. It depends on the rewards; pitch variation and
     success do not.
@@ -83,14 +86,18 @@ seed: The number from which all random numbers of a training or an evaluation fo
     give equal results.
 stuck: Outcome: the robot made too little progress (episode.stuck_window).
 substep: One step of the physics within a decision (sim.substep).
-success: The share of episodes with the outcome reached.
+success: The share of episodes with the outcome reached; success_rate in JSON and of --columns.
 suite: A named list of scenes that are evaluated together.
 sweep: Several trainings from one command: flipperctl train -m seed=1,2,3.
 θ̂_R: The paper's symbol for pitch variation.
 time: Simulated time from the start to the end of an episode [s]; t_cost in files.
 timeout: Outcome: the episode took longer than allowed (episode.slack).
+telling episode: The one that most policies finish, of these the one with the largest pitch
+    variation; plot and report show it.
 validation: Episodes without exploration that are played during a training, to measure the policy
     and to choose the best one.
+warning: A decision whose risk is at the policy's threshold or above, or at which the robot hardly
+    moves.
 """
 
 GLOSSARY: Mapping[str, str] = {

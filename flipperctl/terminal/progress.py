@@ -118,7 +118,7 @@ def validation_text(row: Mapping[str, Any]) -> str:
     """Return a validation in one line."""
     return (
         f"validation at {row['decision']}: success {row['success_rate']:.0%}, {way_text(row)}, "
-        f"reward {row['mean_return']:.2f}"
+        f"return {row['mean_return']:.2f}"
     )
 
 

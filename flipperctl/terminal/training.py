@@ -42,7 +42,7 @@ def print_best(run: Finished) -> None:
     print_note(
         f"\nTrained {run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"Best validation, at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{way_text(best)}, reward {best['mean_return']:.2f}.\n"
+        f"{way_text(best)}, return {best['mean_return']:.2f}.\n"
         f"{waits}{_risk_line(best)}{regret.line(measured)}"
         f"{again if regret.falls_short(measured) else ''}"
         f"Watch:    {command('watch', run.directory)}\n"

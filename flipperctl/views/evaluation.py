@@ -7,7 +7,7 @@ In: the result of an evaluation, and names of drawn numbers (``--by``). Out: the
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -446,13 +446,14 @@ def _conditions(result: Result) -> Iterator[str]:
 
 
 def _risks(evaluated: Document) -> Iterator[str]:
-    """Yield a line for each policy that told its risk, if it failed or warned."""
-    called = shown_names(evaluated)
-    for name, scene in named(evaluated):
-        risk = scene.get("risk")
-        if risk is not None and (risk["failures"] or risk["false_alarms"]):
+    """Yield a line for each policy that told its risk, on all of its scenes together."""
+    called, told = shown_names(evaluated), defaultdict[tuple[str, float], list[Document]](list)
+    for scene in evaluated["scenes"]:
+        if scene.get("risk"):
             who = called[scene.get("method") or scene["controller"]]
-            yield f"risk, {who} on {name}: {summary.risk_text(risk)}"
+            told[who, scene["risk"]["threshold"]].append(scene["risk"])
+    for (who, _), risks in told.items():
+        yield f"risk, {who}: {summary.risk_text(*risks)}"
 
 
 # Files

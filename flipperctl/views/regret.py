@@ -96,11 +96,11 @@ def line(measured: Mapping[str, Any] | None) -> str:
         f"{'flippers held still' if name == LEVEL else name} {reference['return']['mean']:.2f}"
         for name, reference in measured["references"].items()
     )
-    rewards = "; ".join([f"reward {reward['mean']:.2f}", *rules])
+    rewards = "; ".join([f"return {reward['mean']:.2f}", *rules])
     verdict = Verdict(measured["verdict"])
     be = "is " if verdict is Verdict.UNDECIDED else ""
     return (
-        f"Check on {measured['episodes']} new episodes, 95 % intervals: {rewards}.\n"
+        f"Check on {measured['episodes']} new episodes, 95 % intervals in brackets: {rewards}.\n"
         f"The policy {be}{_WORDS[verdict]} ({interval_text(above, sign='+')}).\n"
         f"{_level_line(measured)}"
     )

@@ -298,14 +298,15 @@ def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]
 # How a policy's risk fits the ends of its episodes
 
 
-def risk_text(risk: Mapping[str, Any]) -> str:
-    """Return the counts of a summary in one sentence."""
-    failures, announced = risk["failures"], risk["announced"]
+def risk_text(*risks: Mapping[str, Any]) -> str:
+    """Return the counts of summaries, all of one threshold, in one sentence."""
+    names = "failures", "announced", "reached", "false_alarms"
+    failures, announced, reached, alarms = (sum(risk[n] for risk in risks) for n in names)
     warned = f"warned {AHEAD} or more decisions before {announced:.0f} of {failures:.0f} failures"
     return (
         f"{warned if failures else 'no failure to announce'}; false alarms in "
-        f"{risk['false_alarms']:.0f} of {risk['reached']:.0f} successes (risk of "
-        f"{risk['threshold']:.2g} or more within {risk['horizon']:.0f} decisions)"
+        f"{alarms:.0f} of {reached:.0f} successes (risk of "
+        f"{risks[0]['threshold']:.2g} or more within {risks[0]['horizon']:.0f} decisions)"
     )
 
 

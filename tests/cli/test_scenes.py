@@ -80,6 +80,13 @@ def test_a_policy_says_which_settings_of_its_training_it_is_evaluated_without(
     assert f"({int(found[1]) - 1} settings;" in capsys.readouterr().err  # one was chosen
 
 
+def test_a_policy_tells_its_risk_of_all_scenes_in_one_line(tmp_path: Path) -> None:
+    shown = call("eval", "generalist", "terrain=flat,ramp", "--episodes", "1", cwd=tmp_path)
+    told = [line for line in shown.out.splitlines() if line.startswith("risk")]
+    assert len(told) == 1
+    assert "generalist: no failure to announce; false alarms in 0 of 2 successes" in told[0]
+
+
 _GROUPS = "terrain", "sim", "perception", "conditions"
 
 

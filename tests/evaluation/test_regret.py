@@ -90,7 +90,7 @@ def test_the_sentences_name_scene_difference_and_best_reference() -> None:
     assert mean == "share of the gain, mean of 2: 0.00"  # -0.5 / 5 and 0.5 / 5
     assert last.endswith("EARNS LESS THAN HOLDING THE FLIPPERS STILL in 1 of 2 comparisons")
     assert line(less).startswith(
-        "Check on 5 new episodes, 95 % intervals: reward 2.50; mpc 8.00; "
+        "Check on 5 new episodes, 95 % intervals in brackets: return 2.50; mpc 8.00; "
         "flippers held still 3.00.\n"
         "The policy EARNS LESS THAN HOLDING THE FLIPPERS STILL (-0.50 [-0.50, -0.50])."
     )
