@@ -32,8 +32,8 @@ def evaluate(
         str | None,
         typer.Option(
             metavar="NAMES",
-            help="Controllers to compare with, or none. Beside several policies level,geometric; one "
-            "alone has none, or a planner its own.",
+            help="Controllers to compare with, or none. Several policies have level,geometric, one "
+            "alone has none, a planner its own.",
         ),
     ] = None,
     passable: Annotated[
