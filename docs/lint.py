@@ -275,8 +275,9 @@ def disagreements() -> Iterator[str]:
     # Every package is listed, as setuptools cannot find them by itself.
     packages = {"hydra_plugins"}  # a namespace package, which has no __init__.py
     for package, folder in PACKAGES.items():
-        for init in (ROOT / folder).rglob("__init__.py"):
-            packages.add(".".join([package, *init.parent.relative_to(ROOT / folder).parts]))
+        inside = [init.parent for init in (ROOT / folder).rglob("__init__.py")]
+        for place in (*inside, *(ROOT / folder).rglob("templates")):  # which setuptools takes for one
+            packages.add(".".join([package, *place.relative_to(ROOT / folder).parts]))
     if packages != (listed := set(document["tool"]["setuptools"]["packages"])):
         yield f"pyproject.toml and the folders differ in the packages {sorted(packages ^ listed)}"
 
