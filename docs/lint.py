@@ -273,10 +273,14 @@ def disagreements() -> Iterator[str]:
         yield f"requires-python is {project['requires-python']}; {versions[0]} is classified first"
 
     # Every package is listed, as setuptools cannot find them by itself.
+    # Folders of templates count as packages there.
     packages = {"hydra_plugins"}  # a namespace package, which has no __init__.py
     for package, folder in PACKAGES.items():
         inside = [init.parent for init in (ROOT / folder).rglob("__init__.py")]
-        for place in (*inside, *(ROOT / folder).rglob("templates")):  # which setuptools takes for one
+        for place in (
+            *inside,
+            *(ROOT / folder).rglob("templates"),
+        ):
             packages.add(".".join([package, *place.relative_to(ROOT / folder).parts]))
     if packages != (listed := set(document["tool"]["setuptools"]["packages"])):
         yield f"pyproject.toml and the folders differ in the packages {sorted(packages ^ listed)}"

@@ -200,7 +200,7 @@ def checkpoint(
 
 def print_checkpoint(content: dict[str, Any], saved: Checkpoint) -> None:
     """Print a line for each part of a checkpoint (``Checkpoint.to_dict``)."""
-    from flipperctl.terminal.progress import way_text
+    from flipperctl.terminal.progress import success_text
     from flipperctl.text.show import console, print_facts
 
     # What the file has of each of its parts, as far as there is anything
@@ -226,10 +226,7 @@ def print_checkpoint(content: dict[str, Any], saved: Checkpoint) -> None:
         "plugins": ", ".join(foreign) or "all of flipperctl's own",
     }
     if best:
-        lines["best"] = (
-            f"at decision {best.decision}: success {best.success_rate:.1%}, "
-            f"{way_text(best.model_dump())}"
-        )
+        lines["best"] = f"at decision {best.decision}: {success_text(best.model_dump())}"
     print_facts(lines, console())
 
 
@@ -264,6 +261,7 @@ def _print(document: dict[str, Any], picture: Path | None) -> None:
     from flipperctl import checkpoint
     from flipperctl.process import session
     from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
+    from flipperctl.text.messages import percent
     from flipperctl.text.show import Column, Table, console, print_table, print_text
 
     # Whether the run goes on, has ended, or can be resumed
@@ -285,7 +283,7 @@ def _print(document: dict[str, Any], picture: Path | None) -> None:
         row
         | {
             "decision": f"{row['decision']:.0f}",
-            "success": f"{row['success_rate']:.1%}",
+            "success": percent(row["success_rate"]),
             "return": row["return"] if row["mean_return"] is None else row["mean_return"],
         }
         for row in document["validations"]

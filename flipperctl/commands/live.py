@@ -224,7 +224,7 @@ def drive(
         variation = row["pitch_variation_100hz"]
         print_note(
             f"{task.title}, {kind} {task.number}: {row['outcome']} after {row['t_cost']:.1f} s, "
-            f"pitch variation {variation:.2f} rad; {late:.1%} of ticks late"
+            f"pitch variation {variation:.2f} rad; {100 * late:.3g} % of ticks late"
         )
 
     def answered(task: drives.Task, answers: tuple[int, ...]) -> None:

@@ -377,7 +377,7 @@ def compare(
     if not difference <= limit or differs.any():
         raise ExportError(
             f"the exported policy disagrees with torch: Q-values differ by up to {difference:g} "
-            f"(allowed {limit:g}), actions agree on {agreement:.2%} of {len(observations)} "
+            f"(allowed {limit:g}), actions agree on {100 * agreement:.4g} % of {len(observations)} "
             "observations; nothing was written"
         )
     return {

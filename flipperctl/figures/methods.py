@@ -28,6 +28,7 @@ from flipperctl.figures.figure import (
     style_axes,
 )
 from flipperctl.figures.render import FAINT, INK
+from flipperctl.text.messages import percent
 
 Row = Mapping[str, Any]
 """Keys ``method`` and ``scene``, and by the name of each metric a mean with its interval: a mapping
@@ -150,7 +151,7 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
         if row[metric] is not None:
             table[at] = factor * row[metric]["mean"]
         if metric != SUCCESS and row[SUCCESS]["mean"] < 1:
-            partly[at] = 100 * row[SUCCESS]["mean"]
+            partly[at] = row[SUCCESS]["mean"]
     # Cells in the colours of their means
     tall = 0.32 if partly else 0.22
     figure = Figure(figsize=(width, points(tall * len(methods) + 0.9)), layout="constrained")
@@ -170,8 +171,8 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
     )
     # Numbers in the cells, white on dark colours
     for (i, j), value in np.ndenumerate(table):
-        number = "–" if np.isnan(value) else f"{value:.0f}" if metric == SUCCESS else f"{value:.2f}"
-        texts = [number, *([f"{partly[i, j]:.0f} %"] if (i, j) in partly else [])]
+        number = "–" if np.isnan(value) else f"{value:.3g}" if metric == SUCCESS else f"{value:.2f}"
+        texts = [number, *([percent(partly[i, j])] if (i, j) in partly else [])]
         shade = np.dot(mesh.to_rgba(shades[i, j])[:3], (0.3, 0.6, 0.1)) * _PALE + 1 - _PALE
         dark = np.isfinite(value) and shade < 0.5
         axes.text(

@@ -357,7 +357,8 @@ class FlipperController:
         covered = 1.0 if ground.seen is None else float(np.mean(ground.seen))
         least = self._limits.coverage
         if covered < least:
-            text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
+            seen, limit = (f"{100 * share:.3g} %" for share in (covered, least))
+            text = f"ground was seen in {seen} of the bins; {limit} or more is allowed"
             return Fault("coverage", text, gap=True)
         pairs = zip(self._motions.values(), self._intake.sides, strict=False)
         return next((fault for motion, pair in pairs if (fault := motion.unlike(pair))), None)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.config.words import override_text
-from flipperctl.text.messages import counted
+from flipperctl.text.messages import counted, percent
 from flipperctl.text.show import (
     NONE,
     Column,
@@ -68,7 +68,7 @@ def print_runs(folder: Path, listed: Sequence[Row]) -> None:
     rows = []
     for row in listed:
         rate, terrain = row["success_rate"], row["terrain"] or NONE
-        success = NONE if rate is None else f"{rate:.0%}"
+        success = NONE if rate is None else percent(rate)
         rows.append({**row, "success": success, "terrain": terrain})
     print_table(Table(_RUN_COLUMNS, rows, f"{folder}: {counted(len(rows), 'run')}"), console())
 

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from flipperctl.text.messages import percent
 from flipperctl.text.show import console, print_lines
 
 HEADING, PAPERS_HEADING = "pitch variation [rad]", "at decisions [rad]"
@@ -116,24 +117,22 @@ class Rate:
 
 def validation_text(row: Mapping[str, Any]) -> str:
     """Return a validation in one line."""
-    return (
-        f"validation at {row['decision']}: success {row['success_rate']:.0%}, {way_text(row)}, "
-        f"return {row['mean_return']:.2f}"
-    )
+    return f"validation at {row['decision']}: {success_text(row)}, return {row['mean_return']:.2f}"
 
 
-def way_text(validation: Mapping[str, Any]) -> str:
-    """Return the means of the episodes of a validation that reached the finish."""
+def success_text(validation: Mapping[str, Any]) -> str:
+    """Return the success of a validation, and the means of the episodes that were reached."""
+    text = f"success {percent(validation['success_rate'])}"
     if not validation["success_rate"]:
-        return "no finish reached"
+        return text
     variation = validation["pitch_variation_100hz"]
-    return f"pitch variation {variation:.2f} rad, {validation['t_cost']:.1f} s"
+    return f"{text}, pitch variation {variation:.2f} rad, {validation['t_cost']:.1f} s"
 
 
 def state_text(row: Mapping[str, Any], rate: float | None) -> str:
     """Return the state of a training after an episode; ``rate`` in decisions per second [1/s]."""
     words = [] if rate is None else [f"{rate:.0f}/s"]
-    words.append(f"success {row['success_rate']:.0%}")
+    words.append(f"success {percent(row['success_rate'])}")
     if row["epsilon"] is not None:  # of a learner with random actions
         words.append(f"ε {row['epsilon']:.2f}")
     if row["loss"] is not None:  # as it is before the first update
@@ -210,6 +209,6 @@ def steps_progress(label: str) -> Iterator[Callable[[str, float], None]]:
             if bar.disable and now - last >= _PLAIN_EVERY:
                 last = now
                 left = f", {(now - begun) * (1 / fraction - 1):.0f} s left" if fraction > 0 else ""
-                print(f"{label}: {fraction:.0%}{left}  {what}", file=sys.stderr, flush=True)
+                print(f"{label}: {100 * fraction:.0f} %{left}  {what}", file=sys.stderr, flush=True)
 
         yield report

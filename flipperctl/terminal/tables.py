@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Robot
-from flipperctl.text.messages import spans, unit
+from flipperctl.text.messages import percent, spans, unit
 from flipperctl.text.show import NONE, Column, Table, console, print_lines, print_table, print_text
 
 _PLUGINS = (
@@ -102,8 +102,8 @@ def print_perception(perception: dict[str, Any], output: Path | None) -> None:
     rows |= {f"  would hold: {name}": str(count) for name, count in perception["held"].items()}
     # How much ground was seen, and how certain its heights are
     coverage, deviation = perception["coverage"], perception["deviation"]
-    rows["bins seen"] = f"{coverage['mean']:.0%}, at least {coverage['least']:.0%}"
-    rows["ground filled"] = f"{perception['filled']:.0%}"
+    rows["bins seen"] = f"{percent(coverage['mean'])}, at least {percent(coverage['least'])}"
+    rows["ground filled"] = percent(perception["filled"])
     rows["σ of a height"] = NONE if deviation is None else f"{1000 * deviation:.0f} mm (median)"
     # What computing takes
     for name, key in (("an estimate", "estimate_ms"), ("a scan", "scan_ms")):
@@ -113,7 +113,7 @@ def print_perception(perception: dict[str, Any], output: Path | None) -> None:
     # The drift, if the recording has poses of its own
     if (drift := perception["drift"]) is not None:
         share = drift["share"]
-        of = "" if share is None else f" ({share:.1%} of {drift['way']:.2f} m)"
+        of = "" if share is None else f" ({percent(share)} of {drift['way']:.2f} m)"
         rows["drift"] = (
             f"{1000 * (drift['horizontal'] or 0.0):.0f} mm{of}, height "
             f"{1000 * (drift['height'] or 0.0):+.0f} mm, heading "
@@ -167,9 +167,9 @@ def print_field_drive(document: dict[str, Any]) -> None:
         )
         rows[f"{number}: travel of the flippers"] = f"{drive['flipper_travel']:.2f} rad"
         rows[f"{number}: way of the belts, share they stood"] = (
-            f"{drive['way_of_belts']:.2f} m, {drive['belts_stood']:.0%}"
+            f"{drive['way_of_belts']:.2f} m, {percent(drive['belts_stood'])}"
         )
-        rows[f"{number}: ground seen"] = f"{drive['seen']:.0%}"
+        rows[f"{number}: ground seen"] = percent(drive["seen"])
     who = f"{document['driver']} in {document['source']}"
     last = f"record: {document['output']}; it has neither rewards nor the true ground"
     _print_recording("field drive", who, document, rows, last)
@@ -206,7 +206,7 @@ def print_export(target: Path, source: Path, exported: dict[str, Any]) -> None:
         f"compared with torch on {exported['observations']} observations of rollouts: "
         f"outputs of up to {exported['largest_q_value']:.2g} differ by at most "
         f"{exported['largest_difference']:.2g} (allowed {exported['allowed_difference']:.2g}), "
-        f"the chosen action agrees on {exported['action_agreement']:.2%}"
+        f"the chosen action agrees on {100 * exported['action_agreement']:.4g} %"
     )
     parts = []
     for name, values in exported["robot_changes"].items():

@@ -12,7 +12,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.evaluation.regret import final_regret
 from flipperctl.process.session import command
 from flipperctl.rollout.collect import Usage
-from flipperctl.terminal.progress import TrainingProgress, way_text
+from flipperctl.terminal.progress import TrainingProgress, success_text
 from flipperctl.terminal.streams import print_note, print_notices
 from flipperctl.training.run import Finished, Reports, check_device
 from flipperctl.views import regret, summary
@@ -41,8 +41,8 @@ def print_best(run: Finished) -> None:
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
         f"\nTrained {run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
-        f"Best validation, at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{way_text(best)}, return {best['mean_return']:.2f}.\n"
+        f"Best validation, at decision {best['decision']}: {success_text(best)}, "
+        f"return {best['mean_return']:.2f}.\n"
         f"{waits}{_risk_line(best)}{regret.line(measured)}"
         f"{again if regret.falls_short(measured) else ''}"
         f"Watch:    {command('watch', run.directory)}\n"
@@ -54,9 +54,9 @@ def print_best(run: Finished) -> None:
 def _usage_line(usage: Usage) -> str:
     """Return a line about how busy learner and workers were."""
     workers = "the worker" if usage.workers == 1 else f"the {usage.workers} workers"
-    busy = f"Busy: the learner {1 - usage.learner_idle:.0%} of its time, {workers} "
+    busy = f"Busy: the learner {100 * (1 - usage.learner_idle):.0f} % of its time, {workers} "
     advice = usage.advice()
-    return f"{busy}{1 - usage.workers_idle:.0%}{advice and f'; {advice}'}.\n"
+    return f"{busy}{100 * (1 - usage.workers_idle):.0f} %{advice and f'; {advice}'}.\n"
 
 
 def _risk_line(validation: Mapping[str, Any]) -> str:

@@ -35,6 +35,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def percent(rate: float) -> str:
+    """Return a rate from 0 to 1 in percent, as in ``37.5 %``."""
+    return f"{100 * rate:.3g} %"
+
+
 def spans(numbers: Sequence[int]) -> str:
     """Return ascending numbers, with three or more in a row as in ``0 to 2, 5``."""
     runs: list[list[int]] = []

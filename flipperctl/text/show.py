@@ -282,7 +282,7 @@ def latex(table: Table) -> str:
     rows_text = [
         _LATEX_HEAD,
         *(f"% {' '.join(text.split())}" for text in (table.title, *table.notes) if text),
-        r"{\footnotesize\setlength{\tabcolsep}{3pt}%",
+        r"{\footnotesize\setlength{\tabcolsep}{2pt}%",
         r"\begin{tabular}{@{}" + "l" * names + "r" * (len(head) - names) + "@{}}",
         r"\toprule",
         " & ".join(head) + r" \\",

@@ -245,8 +245,8 @@ class Trainer:
         usage = collector.usage() if len(self.validator.history) == 1 else None
         if usage is not None and usage.enough < usage.workers:
             self._report(
-                f"the {usage.workers} workers are idle for {usage.workers_idle:.0%} of their time; "
-                f"{usage.enough} would play as much"
+                f"the {usage.workers} workers are idle for {100 * usage.workers_idle:.0f} % of "
+                f"their time; {usage.enough} would play as much"
             )
         means = validation.model_dump(exclude={"decision"})
         for listener in self.listeners:

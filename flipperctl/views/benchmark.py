@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from flipperctl.evaluation.benchmark import BenchmarkResult, Score
+from flipperctl.text.messages import percent
 from flipperctl.text.show import Column, Table
 
 Document = dict[str, Any]
@@ -42,7 +43,7 @@ def table(methods: Sequence[Document]) -> Table:
                 "scene": scene,
                 "method": method,
                 "ratio": part["ratio"],
-                "success": f"{100 * part['success']:.3g} %",
+                "success": percent(part["success"]),
                 "rule": part.get("rule", ""),
             }
             for scene, method, part in (*whole, *parts)

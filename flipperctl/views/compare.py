@@ -260,10 +260,7 @@ def paper_table(compared: Document, label: str) -> Table:
     rows: list[Document] = []
     # A row for each method, its scenes below it
     for method in methods:
-        rate = method["success"]
-        success = f"{100 * rate['mean']:.0f}"
-        if rate["mean"] < 1 and rate["low"] is not None:
-            success += f" [{100 * rate['low']:.0f}, {100 * rate['high']:.0f}]"
+        success = rate_text(method["success"]).replace(" %", "")
         gap = (method["comparison"] or {}).get("score")
         parts = method["by_scene"].items() if len(compared["episodes"]) > 1 else ()
         texts = {"name": called[method["method"]], "success": success, "gap": gap or ""}

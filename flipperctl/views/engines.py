@@ -15,6 +15,7 @@ from flipperctl.evaluation.engines import comparisons as steps_of
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.rows import CAUSE, END, reached
+from flipperctl.text.messages import percent
 from flipperctl.text.show import NONE, Column, Table
 from flipperctl.views.summary import (
     Document,
@@ -112,7 +113,7 @@ def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
                     "causes": causes if at == len(steps) else "",
                     "success": gap_text(lost["gap"]["success"]),
                     "variation": lost["gap"]["pitch_variation_100hz"],
-                    "kept": NONE if fraction is None else f"{100 * fraction:.3g} %",
+                    "kept": NONE if fraction is None else percent(fraction),
                 }
             )
     if rows:

@@ -14,10 +14,10 @@ import numpy as np
 
 from flipperctl.api import Outcome
 from flipperctl.evaluation.rows import Row
-from flipperctl.text.messages import counted
+from flipperctl.text.messages import counted, percent
 from flipperctl.text.show import with_minus
 from flipperctl.views import evaluation
-from flipperctl.views.summary import Document, rate_text
+from flipperctl.views.summary import Document
 
 RULER = "level"
 """The rule with which policies are compared, if it played."""
@@ -151,7 +151,7 @@ def _is_better(row: Row, other: Row, scene: str, gaps: Gaps) -> bool:
 
 def _words(row: Row) -> str:
     variation = row[VARIATION]
-    text = f"success {rate_text(row['success'])}"
+    text = f"success {percent(row['success']['mean'])}"
     if variation:
         text += f", pitch variation {variation['mean']:.2f} rad"
     return f"**{row['policy']}** ({text})"
@@ -163,7 +163,7 @@ def _against(best: Row, scene_rows: Mapping[str, Row]) -> str:
     ruler = scene_rows.get(RULER, others[-1])
     rivals = [others[-1]] + [ruler] * (ruler is not others[-1] and ruler is not best)
     less = [
-        f"{name} reached the finish in {rate_text(other['success'])}"
+        f"{name} reached the finish in {percent(other['success']['mean'])}"
         for other in rivals
         if (name := f"**{other['policy']}**") and best["success"]["mean"] > other["success"]["mean"]
     ]
@@ -217,7 +217,7 @@ def _losses(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
             gap = gaps.get((scene, policy, RULER))
             name = f"**{policy}** on {scene}"
             if _is_above(ruler["success"], row["success"]["high"]):
-                worse.append(f"{name} (success {rate_text(row['success'])})")
+                worse.append(f"{name} (success {percent(row['success']['mean'])})")
             elif _is_above(gap, 0.0) or (
                 gap is None and still and _is_above(variation, still["high"])
             ):

@@ -46,7 +46,7 @@ def lines(mapped: CapabilityMap) -> Iterator[str]:
     heads, below = _heads(second.values), _heads(first.values)
     indent, width = max(map(len, heads)), max(4, 1 + max(map(len, below)))
     texts = {
-        at: f"{'' if point.episodes else '·'}{100 * point.success:.0f}"
+        at: f"{'' if point.episodes else '·'}{100 * point.success:.3g}"
         for at, point in mapped.points.items()
     }
     yield f"{mapped.title}: success [%]"

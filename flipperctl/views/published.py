@@ -8,8 +8,9 @@ from __future__ import annotations
 from flipperctl.api import Terrain, registry
 from flipperctl.config import to_dict
 from flipperctl.evaluation.rows import Row
+from flipperctl.text.messages import percent
 from flipperctl.text.show import Column, Table
-from flipperctl.views.summary import Document, compared, rate_text, shown_names
+from flipperctl.views.summary import Document, compared, shown_names
 
 _COLUMNS = (
     Column("terrain", "scene", named=True),
@@ -46,7 +47,7 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
             rows.append(
                 {
                     "policy": called[scene.get("method") or summary["controller"]],
-                    "success": rate_text(summary["success"]),
+                    "success": percent(summary["success"]["mean"]),
                     "time": (summary["t_cost"] or {}).get("mean"),
                     "variation": variation.get("mean"),
                     "range": variation.get("range"),

@@ -11,6 +11,7 @@ from typing import Any
 from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.regret import LEVEL, PITCH, Verdict
 from flipperctl.evaluation.statistics import FEWEST
+from flipperctl.text.messages import percent
 from flipperctl.text.show import Column, Table, interval_text
 from flipperctl.views.summary import Document, named
 
@@ -40,7 +41,7 @@ def table(scenes: Sequence[Document]) -> Table:
         # The judged policy, its references, then the best of each episode
         policies = [(scene["name"], scene["policy"]), *scene["references"].items()]
         for label, numbers in policies:
-            success = f"{100 * numbers['success_rate']:.3g} %"
+            success = percent(numbers["success_rate"])
             row = {**numbers, "policy": called[label], "success": success}
             rows.append({**row, "scene": name if numbers is scene["policy"] else ""})
         best = {"return": scene["best_known"]["return"], "policy": "best of each episode"}
@@ -123,7 +124,7 @@ def _level_line(scene: Mapping[str, Any]) -> str:
     texts = []
     for words, numbers in ((", pitch variation", policy), (",", level)):
         variation = "" if numbers[PITCH] is None else f"{words} {numbers[PITCH]:.2f} rad"
-        texts.append(f"{numbers['success_rate']:.0%}{variation}")
+        texts.append(f"{percent(numbers['success_rate'])}{variation}")
     line = f"On the same episodes: success {texts[0]} (flippers held still: {texts[1]})"
     if (above := policy["pitch_above_level"]) is not None:
         words = f"is not shown to pitch less than {_STILL}"

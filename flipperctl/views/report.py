@@ -27,7 +27,7 @@ from flipperctl.process.session import command
 from flipperctl.rollout.trace import FILE as TRACES
 from flipperctl.rollout.trace import Trace, read
 from flipperctl.text.files import OutputKind, write_bytes
-from flipperctl.text.messages import counted
+from flipperctl.text.messages import counted, percent
 from flipperctl.text.show import html
 from flipperctl.views import evaluation
 from flipperctl.views.findings import (
@@ -219,7 +219,7 @@ def _heat(
                 continue
             value, success = row[VARIATION], row["success"]["mean"]
             text = f"{value['mean']:.2f}" if value else "–"
-            less = f"<small>{100 * success:.0f} %</small>" if success < 1 else ""
+            less = f"<small>{percent(success)}</small>" if success < 1 else ""
             kind = ' class="best"' if policy == best[scene] else ""
             heat = shade.get((policy, scene), 1.0)
             cells.append(f'<td{kind} style="--h:{heat:.2f}">{text}{less}</td>')

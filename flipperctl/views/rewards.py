@@ -11,6 +11,7 @@ from typing import Any
 from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.rewards import MEASURES, Verdict
 from flipperctl.evaluation.statistics import FEWEST
+from flipperctl.text.messages import percent
 from flipperctl.text.show import Column, Table, interval_text
 from flipperctl.views.summary import VARIATION, Document, named
 
@@ -31,8 +32,8 @@ def audit_table(audited: Document, notes: Sequence[str]) -> Table:
         {
             "term": name,
             **term,
-            "share_text": f"{term['share']:.1%}",
-            "saturated_text": "–" if term["saturated"] is None else f"{term['saturated']:.1%}",
+            "share_text": percent(term["share"]),
+            "saturated_text": "–" if term["saturated"] is None else percent(term["saturated"]),
         }
         for name, term in audited["terms"].items()
     ]
@@ -60,7 +61,7 @@ def table(scenes: Sequence[Document]) -> Table:
                     "scene": f"{name} ({scene['common']} of {scene['episodes']})" if not at else "",
                     "line": not at,
                     "policy": called[label],
-                    "success": f"{100 * policy['success_rate']:.3g} %",
+                    "success": percent(policy["success_rate"]),
                     **{key: interval and interval["mean"] for key, interval in numbers.items()},
                 }
             )

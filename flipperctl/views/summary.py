@@ -28,6 +28,8 @@ from flipperctl.evaluation.seeds import (
 from flipperctl.evaluation.statistics import holm, interval, paired_success, proportion
 from flipperctl.rollout.episode import SEARCH
 from flipperctl.rollout.risks import AHEAD, Ended, EpisodeRisks, agreement
+from flipperctl.text.messages import percent
+from flipperctl.text.show import NONE
 
 Document = dict[str, Any]
 _MEASURED = tuple(name for name in (*CORE[1:], CORE[0]) if name != "max_pitch")
@@ -343,11 +345,10 @@ def shown_names(evaluated: Document) -> Mapping[str, str]:
 
 
 def rate_text(summarised: Mapping[str, Any]) -> str:
-    """Return a rate in percent, with its interval unless all succeeded."""
-    mean, low, high = 100 * summarised["mean"], summarised["low"], summarised["high"]
-    if mean == 100 or low is None or high is None:
-        return f"{mean:.3g} %"
-    return f"{mean:.3g} % [{100 * low:.3g}, {100 * high:.3g}]"
+    """Return a rate in percent with its interval, ``[–]`` where it has none."""
+    low, high = summarised["low"], summarised["high"]
+    ends = NONE if low is None or high is None else f"{100 * low:.3g}, {100 * high:.3g}"
+    return f"{percent(summarised['mean'])} [{ends}]"
 
 
 def p_text(p: float) -> str:

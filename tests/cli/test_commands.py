@@ -87,7 +87,7 @@ def test_export_takes_another_robot_and_says_so(short_run: Path, tmp_path: Path)
     export = ("export", "onnx", str(short_run), "--output", "p.onnx")
     done = call(*export, "robot.flipper_speed=0.5", cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "the chosen action agrees on 100.00%" in done.out
+    assert "the chosen action agrees on 100 %" in done.out
     assert done.out.splitlines()[-1] == (
         "for another robot than that of the training: robot.flipper_speed 0.5 rad/s (training "
         "0.436332), decision period 0.523599 s (training 0.6)"

@@ -150,7 +150,7 @@ def test_a_profile_ends_at_the_largest_value_and_at_the_success_rate(here: Path)
 
 def test_cells_of_a_heat_table_tell_the_success_below_all(here: Path) -> None:
     axes = drawn(here, "judged", kind="heat").axes[0]
-    assert [text.get_text() for text in axes.texts] == ["1.46\n88 %", "2.35"]
+    assert [text.get_text() for text in axes.texts] == ["1.46\n87.5 %", "2.35"]
 
 
 def traced(policy: str, outcome: str = "reached", metres: float = 3.0) -> Trace:

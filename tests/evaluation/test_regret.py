@@ -127,7 +127,7 @@ def test_shaping_alone_is_no_return() -> None:
     [
         (
             [1.4, 1.6, 1.4, 1.6, 1.5, 9.0],
-            "success 83%, pitch variation 1.50 rad (flippers held still: 100%, 1.00 rad).\n"
+            "success 83.3 %, pitch variation 1.50 rad (flippers held still: 100 %, 1.00 rad).\n"
             "It PITCHES MORE THAN HOLDING THE FLIPPERS STILL (+0.50 [",
         ),
         ([0.5] * 5 + [9.0], "\nIt pitches less than holding the flippers still (-0.50 ["),

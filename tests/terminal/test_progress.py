@@ -22,7 +22,7 @@ def test_the_time_left_is_that_of_the_recent_rate_and_not_told_before_it_is_know
         now[0] = 100.0 + seconds
         lines.episode({**ROW, "decision": decision})
     first, *others = capsys.readouterr().err.splitlines()
-    assert first == "20/1000 decisions  success 0%  ε 1.00"
+    assert first == "20/1000 decisions  success 0 %  ε 1.00"
     assert [line.rpartition("  ")[2] for line in others] == [
         "86 s left",  # 860 decisions, 120 in the 12 s since the first episode
         "41 s left",  # 640 decisions, 310 in 20 s

@@ -95,7 +95,7 @@ def test_the_table_has_what_a_reader_needs_and_baselines_are_rows() -> None:
         *("policy", "success", "failures", "pitch variation [rad]", "time [s]")
     ]
     assert table.texts() == [
-        ["a&b_50%", "100 %", "", "6.00 [2.07, 9.93]", "30.0"],
+        ["a&b_50%", "100 % [56.6, 100]", "", "6.00 [2.07, 9.93]", "30.0"],
         ["level", "20 % [3.62, 62.4]", "4 stuck", "4.00 [–]", "20.0"],
     ]
     # Both reached with seed 0 alone, with 2 and 4 rad; four won, none lost: p = 2 / 2^4.
@@ -116,7 +116,7 @@ def test_the_tabular_escapes_names_and_needs_one_package() -> None:
     assert lines[0] == r"% needs \usepackage{booktabs}"
     assert lines[1] == "% mine on step · 5 episodes"
     assert lines[3] == r"\begin{tabular}{@{}llrrr@{}}"
-    assert lines[7] == (r"a\&b\_50\% & 100 \% &  & 6.00 [2.07, 9.93] & 30.0 \\")
+    assert lines[7] == (r"a\&b\_50\% & 100 \% [56.6, 100] &  & 6.00 [2.07, 9.93] & 30.0 \\")
     assert lines[8] == r"level & 20 \% [3.62, 62.4] & 4 stuck & 4.00 [--] & 20.0 \\"
     assert lines[9:] == [r"\bottomrule", r"\end{tabular}}"]
 

@@ -32,7 +32,7 @@ from flipperctl.requests.text import from_words, read
 from flipperctl.rollout.cluster import is_connected, join
 from flipperctl.terminal.progress import HEADING
 from flipperctl.terminal.streams import print_note
-from flipperctl.text.messages import counted
+from flipperctl.text.messages import counted, percent
 from flipperctl.text.show import NONE, Column, Table, console, print_lines, print_table
 from flipperctl.training.search import Interval, SearchSettings, check_settings, search
 from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
@@ -195,7 +195,7 @@ def _row(group: Sequence[SweepRun]) -> dict[str, Any]:
     states = dict.fromkeys(run.state for run in group if run.state != "finished")
     named = group[0].folder.name if len(group) == 1 else counted(len(group), "run")
     return {
-        "success": f"{100 * mean(rates):.3g} %" if rates else NONE,
+        "success": percent(mean(rates)) if rates else NONE,
         "variation": variation,
         "is_range": len(variations) > 1,
         "t_cost": mean(times) if times else None,
