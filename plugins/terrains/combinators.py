@@ -61,6 +61,13 @@ class Combinator(Terrain):
         return [t for group in groups for t in (group if isinstance(group, tuple) else (group,))]
 
     @property
+    def title(self) -> str:
+        """The plugin's name, with the recorded file if that is the only inner terrain."""
+        inner, *others = self._terrains()
+        recorded = not others and inner.title != inner.plugin_name
+        return f"{self.plugin_name} of {inner.title}" if recorded else self.plugin_name
+
+    @property
     def first_difficulty(self) -> float:
         """Smallest first difficulty of the inner terrains [-]."""
         return min(part.first_difficulty for part in self._terrains())

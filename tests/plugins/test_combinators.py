@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,14 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 STEP = {"name": "step", "height": 0.3}
+
+
+def test_what_is_made_of_a_recorded_file_has_its_name() -> None:
+    file = {"name": "profile_file", "path": str(Path(__file__).with_name("curbs.csv"))}
+    assert (
+        made("mirror", terrain=made("noisy", terrain=file)).title == "mirror of noisy of curbs.csv"
+    )
+    assert (made("mirror").title, made("mix", parts=[file, "step"]).title) == ("mirror", "mix")
 
 
 def test_a_mix_draws_by_weight_and_labels_the_profile(spike: type[Terrain]) -> None:
