@@ -90,7 +90,7 @@ FILE = "sweep.csv"
 class SweepRun:
     """One run of a sweep, after its job returned."""
 
-    job: int
+    number: int
     swept: dict[str, str]
     """The swept overrides, key → value."""
     folder: Path
@@ -112,7 +112,7 @@ class SweepRun:
         best = of_reached(with_both_names(self.summary.get("best") or {}))
         measures = ("success_rate", "pitch_variation_100hz", "pitch_variation_decisions", "t_cost")
         return {
-            "job": self.job,
+            "run": self.number,
             **self.swept,
             **{name: best.get(name) for name in measures},
             "best_decision": best.get("decision"),
@@ -144,12 +144,12 @@ def write_comparison(
     compared = [run for run in runs if not (run.summary and isinstance(run.error, RequestError))]
     if compared:
         rows = [*_not_replaced(earlier, folder, compared), *(run.row() for run in compared)]
-        write_csv(folder / FILE, sorted(rows, key=_job_number))
+        write_csv(folder / FILE, sorted(rows, key=_run_number))
     return compared
 
 
-def _job_number(row: Mapping[str, Any]) -> int:
-    number = str(row.get("job", ""))
+def _run_number(row: Mapping[str, Any]) -> int:
+    number = str(row.get("run", ""))
     return int(number) if number.isdecimal() else 0
 
 
@@ -246,7 +246,7 @@ class Sweep:
                     if not self._numbered:
                         raise
             table = self.folder / FILE  # it is read before any job, since it is written anew
-            earlier = read_csv(table, ("job", "folder")) if table.exists() else []
+            earlier = read_csv(table, ("run", "folder"), {"job": "run"}) if table.exists() else []
             try:
                 with stopping(self.folder) as self.stop:
                     yield

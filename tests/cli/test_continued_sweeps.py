@@ -54,7 +54,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert "0_seed=1" not in table  # runs that differ in their seeds alone are one row
     with (folder / "s w" / "sweep.csv").open(newline="") as file:
         first, *_ = csv.DictReader(file)
-    assert (first["job"], first["seed"], first["decisions"]) == ("0", "1", "60")
+    assert (first["run"], first["seed"], first["decisions"]) == ("0", "1", "60")
     best = json.loads((folder / "s w" / "0_seed=1" / "summary.json").read_text())["best"]
     assert (first["success_rate"], int(first["best_decision"])) == ("0.0", best["decision"])
     for name in ("pitch_variation_100hz", "pitch_variation_decisions", "t_cost"):

@@ -189,15 +189,15 @@ def _row(group: Sequence[SweepRun]) -> dict[str, Any]:
         [row[name] for row in rows if row[name] is not None]
         for name in ("success_rate", "pitch_variation_100hz", "t_cost")
     )
-    variation = f"{mean(variations):.2f}" if variations else NONE
-    if len(variations) > 1:
-        variation += f" ({min(variations):.2f} to {max(variations):.2f})"
+    some = [f"{len(variations)} of {len(group)} runs"] if len(variations) < len(group) else []
+    ends = [f"{min(variations):.2f} to {max(variations):.2f}"] if len(variations) > 1 else []
+    text = f" ({', '.join(ends + some)})" if ends or some else ""
     states = dict.fromkeys(run.state for run in group if run.state != "finished")
     named = group[0].folder.name if len(group) == 1 else counted(len(group), "run")
     return {
         "success": percent(mean(rates)) if rates else NONE,
-        "variation": variation,
-        "is_range": len(variations) > 1,
+        "variation": f"{mean(variations):.2f}{text}" if variations else NONE,
+        "is_noted": bool(variations and text),
         "t_cost": mean(times) if times else None,
         "runs": named + (f" ({', '.join(states)})" if states else ""),
     }
@@ -231,9 +231,9 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     left = len(shown) - _ROWS
     more = f"{counted(left, 'more row')} and the table" if left > 0 else "the table"
     text = f"{more}: {quote_path(folder / FILE)}"
-    ranged = any(row["is_range"] for row in rows)
-    ranges = ["In parentheses: the least and the largest of the runs."] * ranged
-    print_lines(out, [*ranges, text])
+    noted = any(row["is_noted"] for row in rows)
+    notes = ["In parentheses: the least and the largest, and how many runs reached the finish."]
+    print_lines(out, [*notes * noted, text])
 
 
 def search_sweep(settings: Mapping[str, Any], **arguments: Any) -> Callable[[list[str]], None]:
