@@ -207,7 +207,7 @@ def _columns() -> dict[str, _Column]:
     for name, measure, heading, digits in (
         ("swing", "pitch_variation_100hz", "θ̂_R [rad]", 2),
         ("decisions", "pitch_variation_decisions", "θ̂_R at decisions [rad]", 2),
-        ("time", "t_cost", "t_cost [s]", 1),
+        ("time", "t_cost", "time [s]", 1),
         ("pitch", "max_pitch", "largest pitch [rad]", 2),
         ("travel", "flipper_travel", "flipper travel [rad]", 1),
         ("energy", "flipper_energy", "flipper energy [J]", 0),

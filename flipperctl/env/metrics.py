@@ -6,6 +6,7 @@ In: the transitions of an episode with their rewards. Out: numbers by name, for 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -145,8 +146,11 @@ def shown(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
 
 
 def heading(measure: type[Measure]) -> str:
-    """Return the heading of a further measure in tables: its name and its unit."""
-    return f"{measure.plugin_name.replace('_', ' ')} [{measure.unit}]"
+    """Return the heading of a measure in tables and figures: its name in words and its unit."""
+    words = {"t_cost": "time"}.get(measure.plugin_name, measure.plugin_name)
+    words = re.sub("^max_", "largest_", words.removesuffix("_100hz"))
+    words = words.replace("_decisions", "_at_decisions").replace("_", " ")
+    return f"{words} [{measure.unit}]"
 
 
 class EpisodeMetrics:

@@ -59,6 +59,10 @@ class SeedSamples:
             for scene, values in self.values.items()
         }
 
+    def crossings(self) -> dict[str, FloatArray]:
+        """Return the measure of the episodes that all seeds reached, by scene, (S, E')."""
+        return {k: v[:, self.reached[k].all(axis=0)] for k, v in self.values.items()}
+
     def successes(self) -> dict[str, FloatArray]:
         """Return 1 for reached and 0 for other episodes, by scene, (S, E)."""
         return {scene: reached.astype(np.float64) for scene, reached in self.reached.items()}

@@ -26,6 +26,7 @@ from matplotlib.lines import Line2D
 
 from flipperctl import __version__
 from flipperctl.api import FloatArray, Measure, Profile, registry
+from flipperctl.env.metrics import heading
 from flipperctl.figures import settings
 from flipperctl.figures.render import EARTH, FAINT, GROUND, INK
 from flipperctl.text.files import OutputKind, check_output, write_bytes
@@ -43,7 +44,7 @@ _SIDE_BY_SIDE = 5.0
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#56B4E9", "#E69F00", "#222222")
 """Colours of methods, for colour-blind readers (Okabe and Ito's; the purple is Paul Tol's)."""
 LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (8, 2)))
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+MARKERS = ("o", "s", "^", "D", "v", "P", "<")
 """Lines and markers of methods: with 7 colours and markers and 5 lines, 35 methods differ."""
 Places = Mapping[str, int]
 """Index of each method's look; methods that are missing have that of their order."""
@@ -271,9 +272,6 @@ _WORDS = {
     SUCCESS: "Success [%]",
     VARIATION: r"Pitch variation $\hat{\theta}_\mathrm{R}$ [rad]",
     "pitch_variation_decisions": r"Pitch variation $\hat{\theta}_\mathrm{R}$ at decisions [rad]",
-    "t_cost": "Time [s]",
-    "max_pitch": "Largest pitch [rad]",
-    "flipper_travel": "Flipper travel [rad]",
     "return": "Return",
     "loss": "Loss",
     "epsilon": r"Random actions $\varepsilon$",
@@ -285,5 +283,6 @@ def label(name: str) -> str:
     if name in _WORDS:
         return _WORDS[name]
     measure, words = registry.get((Measure.kind, name)), name.replace("_", " ")
-    unit = measure.unit if measure is not None and issubclass(measure, Measure) else "-"
-    return f"{words[0].upper()}{words[1:]}" + ("" if unit in ("", "-") else f" [{unit}]")
+    if measure is not None and issubclass(measure, Measure):
+        words = heading(measure).removesuffix(" [-]")
+    return f"{words[0].upper()}{words[1:]}"

@@ -74,11 +74,14 @@ def differences_figure(
     rows: Sequence[Row],
     metric: str,
     against: str,
+    price: float,
     *,
     places: Places = NO_PLACES,
     width: float = COLUMN,
 ) -> Figure:
     """Draw the differences of methods to ``against`` on the same episodes; less is better.
+
+    ``price``: what a failed episode counts in means and intervals, in the metric's unit.
 
     Rows have the mean with its interval under ``metric``; under ``episodes`` the differences of
     single episodes, (E,), which are drawn as dots; and under ``failed`` who failed in each: 1 the
@@ -112,8 +115,9 @@ def differences_figure(
     # Means with their intervals, and the side of zero that is better
     axes.axvline(0.0, color=INK, linewidth=points(0.7))
     _estimates(axes, rows, looks, metric)
+    words = f"← better than {against}; a failure counts {price:.4g}"
     axes.text(
-        0.0, 1.0, "← better than " + against, transform=axes.transAxes, va="bottom", color=FAINT,
+        0.0, 1.0, words, transform=axes.transAxes, va="bottom", color=FAINT,
         fontsize=matplotlib.rcParams["legend.fontsize"],
     )  # fmt: skip
     name, _, unit = label(metric).rpartition(" [")

@@ -76,7 +76,7 @@ _COLUMNS = (
     Column("success", "success"),
     Column("pitch_variation_100hz", "θ̂_R [rad]"),
     Column("pitch_variation_decisions", "θ̂_R at decisions [rad]"),
-    Column("t_cost", "t_cost [s]"),
+    Column("t_cost", "time [s]"),
     Column("flipper_energy", "flipper energy [J]"),
 )
 _PASSABLE = Column("passable", "of passable")

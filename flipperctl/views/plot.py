@@ -137,9 +137,7 @@ def estimates(
 def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | None:
     if metric == SUCCESS:
         return success_interval(method.on(scene)).to_dict()
-    values: FloatArray = method.values[scene]
-    if _only_reached(metric):
-        values = values[:, method.reached[scene].all(axis=0)]
+    values = (method.crossings() if _only_reached(metric) else method.values)[scene]
     return mean_interval({scene: values}).to_dict() if values.size else None
 
 
@@ -300,8 +298,9 @@ def _differences(request: Request) -> tuple[Figure, Sequence[str]]:
         request.scenes(),
     )
     rows = [row | {"scene": scenes.get(row["scene"], row["scene"])} for row in rows]
+    measure, price = comparison.measure, comparison.price
     drawn = differences_figure(
-        rows, comparison.measure, called[against], places=places, **request.sized()
+        rows, measure, called[against], price, places=places, **request.sized()
     )
     return drawn, comparison.stored.notices
 
