@@ -355,13 +355,19 @@ def _overview(
         "success": _ends(found["success"]),
         "score": _ends(found["score"]),
         "iqm": _ends(found["iqm"]),
-        _SCORE: _rounded(found["reached_mean"]),
+        _SCORE: _rounded(_reached_mean(scenes)),
         "difference": None,
     }
     if against is not None and name != AGAINST:
         other, ours = _method(against, scenes), _method(scenes, against)
         row["difference"] = _ends(difference(ours, other, PRICE)["score"])
     return row
+
+
+def _reached_mean(scenes: Sequence[_Scene]) -> float | None:
+    """Return the mean over all episodes that a seed reached."""
+    values = np.concatenate([scene.values[_SCORE][scene.reached] for scene in scenes])
+    return float(values.mean()) if values.size else None
 
 
 def _ends(found: Mapping[str, float | None]) -> list[float | None]:

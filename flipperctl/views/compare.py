@@ -14,6 +14,7 @@ import numpy as np
 
 from flipperctl.api import Measure
 from flipperctl.config import resolver
+from flipperctl.env.metrics import heading
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.names import chosen_names, taken
 from flipperctl.evaluation.names import names as shown_names
@@ -48,7 +49,7 @@ _METHODS = (
     Column("success_text", "success"),
     Column("score", "mean score", 3),
     Column("iqm", "IQM", 3),
-    Column("reached_mean", "mean of reached", 3),
+    Column("reached_mean", "mean where all seeds reached", 3),
 )
 _GAPS = (
     Column("name", "method", named=True),
@@ -66,16 +67,11 @@ class Comparison:
 
     stored: Stored
     measure: str
-    unit: str
+    label: str
+    """The measure in words and its unit."""
     price: float
     """Score of an episode that is not reached, and the largest of others, in the measure's unit."""
     against: str
-
-    @property
-    def label(self) -> str:
-        """The measure and its unit."""
-        name = "pitch variation" if self.measure == _PRICED[0] else self.measure.replace("_", " ")
-        return f"{name} [{self.unit}]"
 
 
 def compare(
@@ -112,7 +108,9 @@ def compare(
     names = shown_names([method.name for method in methods])
     if against is not None and against != ALL:
         against = taken(against, names, "--against", further=[ALL])
-    return Comparison(stored, measure, measure_class.unit, price or PRICE, against or usual(names))
+    return Comparison(
+        stored, measure, heading(measure_class), price or PRICE, against or usual(names)
+    )
 
 
 def usual(methods: Mapping[str, str]) -> str:
@@ -161,9 +159,8 @@ def method_row(method: SeedSamples, price: float) -> Document:
     ``price``: score of an episode that is not reached.
     """
     scores = method.scores(price)
-    reached = np.concatenate(
-        [values[method.reached[scene]] for scene, values in method.values.items()]
-    )
+    crossed = {k: float(v.mean()) if v.size else None for k, v in method.crossings().items()}
+    means = [mean for mean in crossed.values() if mean is not None]
     rng = np.random.default_rng(_SEED)
 
     def middle(values: Scores) -> Interval:
@@ -182,7 +179,8 @@ def method_row(method: SeedSamples, price: float) -> Document:
         "success": success_interval(method).to_dict(),
         "score": inside(score_interval(method, price)),
         "iqm": inside(score_interval(method, price, middle)),
-        "reached_mean": float(reached.mean()) if reached.size else None,
+        "reached_mean": float(np.mean(means)) if len(means) == len(crossed) else None,
+        "reached_by_scene": crossed,
         "by_scene": {k: inside(score_interval(method.on(k), price)) for k in scores},
         "comparison": None,
     }
@@ -224,8 +222,12 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
             method | {"name": f"{name}{seeds}", "success_text": rate_text(method["success"])}
         )
         parts = method["by_scene"].items() if len(compared["episodes"]) > 1 else ()
-        empty = {"success_text": "", "iqm": "", "reached_mean": "", "dim": True}
-        rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
+        empty = {"success_text": "", "iqm": "", "dim": True}
+        reached = method["reached_by_scene"]
+        rows += [
+            {"name": f"  {scene}", "score": score, "reached_mean": reached[scene], **empty}
+            for scene, score in parts
+        ]
         for gap in method.get(
             "comparisons", [method["comparison"]] if method["comparison"] else []
         ):

@@ -68,6 +68,7 @@ def test_a_folder_of_folders_is_a_method_with_a_training_seed_in_each(seeds: Pat
     # One of eight episodes costs 5 in place of 1.5: the mean rises by 3.5 / 8.
     assert rows["searched"]["score"]["mean"] == pytest.approx(1.5 + 0.35 + 3.5 / 8)
     assert rows["searched"]["reached_mean"] == pytest.approx(1.5 + 0.4)
+    assert rows["plain"]["reached_by_scene"] == {"stair": pytest.approx(1.1 + 0.35)}
     assert rows["plain"]["comparison"]["score"]["mean"] == pytest.approx(-0.9)
     assert rows["plain"]["comparison"]["improvement"] == 1.0
     assert rows["searched"]["comparison"]["success"]["lost"] == 1
