@@ -7,6 +7,7 @@ from the traces.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,7 +27,7 @@ from flipperctl.text.messages import counted
 from flipperctl.views.summary import Document, named
 
 FAILURES = 2
-"""Largest number of failures of a policy on a scene that are traced [-]."""
+"""Largest number of failures of a method on a scene that are traced [-]."""
 MOST = 200
 """Largest number of traces of an evaluation; failures come last [-]."""
 _Key = tuple[str, str, int, int, str]
@@ -67,16 +68,20 @@ def choose(result: Result, document: Document) -> list[Chosen]:
         for ground, rows in played_on.items()
     }
 
-    def add(played: Played, scene: str, policy: str) -> None:
+    failures = Counter[tuple[str, str]]()  # by scene and method, all its seeds together
+
+    def add(played: Played, scene: str, method: str, seed: str = "") -> None:
         if played.entry.stored:  # another evaluation's policy, which may not be here
             return
+        fails = played.episodes.failed[: FAILURES - failures[scene, method]]
+        failures[scene, method] += len(fails)
         # An episode is chosen once.
         for choice, rows in (
             (first, played.episodes[:1]),
             (shown, played.episodes.where(lambda row: row["episode"] == best[played.entry.ground])),
-            (failed, played.episodes.failed[:FAILURES]),
+            (failed, fails),
         ):
-            episodes = [Chosen(played.entry, row, policy, scene) for row in rows]
+            episodes = [Chosen(played.entry, row, method + seed, scene) for row in rows]
             choice.update({c.key: c for c in episodes if c.key not in first | shown})
 
     # Baselines after the policy that they are compared with
@@ -84,7 +89,7 @@ def choose(result: Result, document: Document) -> list[Chosen]:
     called = names([scene.get("method") or scene["controller"] for _, scene in scenes])
     for (scene, summary), item in zip(scenes, result.rows, strict=True):
         seed = f", seed {summary['training_seed']}" if "training_seed" in summary else ""
-        add(item, scene, called[summary.get("method") or summary["controller"]] + seed)
+        add(item, scene, called[summary.get("method") or summary["controller"]], seed)
         for other in [] if result.plan.has_methods else result.baselines(item):
             add(other, scene, other.entry.label)
     return [*first.values(), *shown.values(), *failed.values()][:MOST]

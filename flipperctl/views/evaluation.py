@@ -18,7 +18,7 @@ from flipperctl.api import Outcome
 from flipperctl.config import EvalConfig
 from flipperctl.config.words import check_different
 from flipperctl.env.ground import generate_profile
-from flipperctl.env.metrics import heading, other_measures
+from flipperctl.env.metrics import heading, measures, other_measures
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import is_best_known
@@ -230,7 +230,9 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
         finished, planned = evaluated["finished_episodes"], evaluated["planned_episodes"]
         text += f" (interrupted: {finished} of {planned} episodes)"
     shown = rows if single else list(_without_repeats(rows))
-    return Table(head, shown, f"{text} · {', '.join(counts)}" if len(counts) == 1 else text)
+    if len(counts) == 1:
+        text += f" · {', '.join(counts)}{' of each seed' * any('seeds' in row for row in rows)}"
+    return Table(head, shown, text)
 
 
 def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
@@ -302,12 +304,6 @@ _OPTIONAL = {
     "decisions": Column("decisions", "decisions", 1),
     "episodes": Column("episodes", "episodes"),
     "outcomes": Column("outcomes", "outcomes", named=True),
-    "t_cost": Column("t_cost", "time [s]", 1),
-    "pitch_variation_decisions": Column(
-        "pitch_variation_decisions", "pitch variation at decisions [rad]"
-    ),
-    "max_pitch": Column("max_pitch", "largest pitch [rad]"),
-    "flipper_travel": Column("flipper_travel", "flipper travel [rad]"),
     "return": Column("return", "return"),
     "not_reached": Column("not_reached_variation", "pitch variation where not reached [rad]"),
     "search": Column("search", "search", named=True),
@@ -316,10 +312,9 @@ _OPTIONAL = {
 
 
 def known_columns() -> dict[str, Column]:
-    """Return the columns that ``--columns`` chooses, by name, further measures included."""
-    measures = other_measures()
-    further = {m.plugin_name: Column(m.plugin_name, heading(m), m.digits) for m in measures}
-    return {**_OPTIONAL, **further}
+    """Return the columns that ``--columns`` chooses, by name, all measures included."""
+    further = {k: Column(k, heading(type(m)), m.digits) for k, m in measures().items()}
+    return {**further, **_OPTIONAL}
 
 
 def parse_columns(text: str | None) -> list[str]:

@@ -74,6 +74,11 @@ def rank(row: Row) -> tuple[float, float]:
     return row["success"]["mean"], -variation["mean"] if variation else -math.inf
 
 
+def for_each_seed(rows: Iterable[Row]) -> str:
+    """Return words for counts of episodes, which training seeds of a method have each."""
+    return ", counted for each training seed" if any("seeds" in row for row in rows) else ""
+
+
 def by_scene(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
     """Return the rows by scene and policy."""
     rows_of: dict[str, dict[str, Row]] = {}
@@ -216,11 +221,11 @@ def _losses(rows: Sequence[Row], gaps: Gaps) -> Iterator[tuple[str, str]]:
             variation, still = row[VARIATION], ruler[VARIATION]
             gap = gaps.get((scene, policy, RULER))
             name = f"**{policy}** on {scene}"
-            if _is_above(ruler["success"], row["success"]["high"]):
+            intervals = (gap, 0.0) if gap or not still else (variation, still["high"])
+            rocks, means = _is_above(*intervals), variation and still  # of what all seeds reached
+            if _is_above(ruler["success"], row["success"]["high"]) or (rocks and not means):
                 worse.append(f"{name} (success {percent(row['success']['mean'])})")
-            elif _is_above(gap, 0.0) or (
-                gap is None and still and _is_above(variation, still["high"])
-            ):
+            elif rocks:
                 worse.append(f"{name} ({variation['mean']:.2f} rad, not {still['mean']:.2f})")
     if worse:
         yield "bad", f"Worse than **{RULER}**, flippers held still: {'; '.join(worse)}."
@@ -248,7 +253,7 @@ def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
     # Without a failure there is one sentence, and none for a single episode.
     if not number:
         if total > 1:
-            yield "good", f"All {total:,} episodes reached the finish."
+            yield "good", f"All {total:,} episodes reached the finish{for_each_seed(rows)}."
         return
     texts = [
         f"**{policy}** {sum(n for _, n in outcomes)}"
@@ -256,4 +261,5 @@ def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
         for policy, outcomes in failed.items()
         if outcomes
     ]
-    yield "bad", f"{number:,} of {total:,} episodes failed: {', '.join(texts)}."
+    words = f"{number:,} of {total:,} episodes failed{for_each_seed(rows)}"
+    yield "bad", f"{words}: {', '.join(texts)}."

@@ -37,6 +37,7 @@ from flipperctl.views.findings import (
     Gaps,
     by_scene,
     findings,
+    for_each_seed,
     rank,
     table_rows,
 )
@@ -340,7 +341,8 @@ def _failures(
             f'{trace.time[-1]:.1f} s</p><button type="button" data-trace="{at}">Play</button>'
             f"{shown}</li>"
         )
-    more = f"{counted(number, 'episode')} failed; {len(items)} shown, with the last 6 s of each."
+    more = f"{counted(number, 'episode')} failed{for_each_seed(rows)}; "
+    more += f"{len(items)} shown, with the last 6 s of each."
     return _section(
         "Failures",
         f'<p class="note">{more} The command shows the episode again, bit for bit.</p>'

@@ -33,10 +33,12 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.requests.evaluation import episode_rows
 from flipperctl.requests.plan import scenes
 from flipperctl.requests.text import from_words
+from flipperctl.requests.traces import choose
 from flipperctl.text.files import write_csv
 from flipperctl.text.show import interval_text, latex
 from flipperctl.views import evaluation
 from flipperctl.views.evaluation import csv_rows, document, parse_columns, parse_groups, policies
+from flipperctl.views.findings import findings
 from flipperctl.views.published import published
 from flipperctl.views.summary import named
 from tests.evaluation.samples import entry, episodes, sample
@@ -106,7 +108,7 @@ def test_the_table_has_what_a_reader_needs_and_baselines_are_rows() -> None:
 
 def test_further_columns_are_chosen_by_name() -> None:
     table = policies(document(result()), "mine", parse_columns("max_pitch,episodes"))
-    assert [column.key for column in table.columns][-2:] == ["episodes", "max_pitch"]
+    assert [column.key for column in table.columns][-2:] == ["max_pitch", "episodes"]
     assert "return" in parse_columns("all")
     assert parse_columns(None) == []
 
@@ -130,8 +132,8 @@ def test_training_seeds_of_a_method_are_pooled_and_compared() -> None:
         played.append(Played(one, episodes([sample(i, "reached", v) for i, v in enumerate(own)])))
     level = PolicySource(settings={"name": "level"})
     other = replace(entries[0], source=level, method="level", training_seed=None, is_baseline=True)
-    rows = [sample(i, "reached", 2.0 + v) for i, v in enumerate(values[0])]
-    found = document(Result(Plan((*entries, other)), (*played, Played(other, episodes(rows)))))
+    rows = episodes([sample(i, "reached", 2.0 + v) for i, v in enumerate(values[0])])
+    found = document(Result(Plan((*entries, other)), (*played, Played(other, rows))))
     (method,) = found["methods"]
     assert (method["seeds"], method["episodes"], method["success_rate"]) == (3, 5, 1.0)
     # Means of the seeds at 100 Hz: 2.24, 3.04 and 2.64; the baseline's is 2 · (2 + 1.12).
@@ -142,10 +144,21 @@ def test_training_seeds_of_a_method_are_pooled_and_compared() -> None:
     assert [row["policy"] for row in table.rows] == ["mine (3 seeds)", "level"]
     stuck = episodes([sample(i, "stuck", 9.0) for i in range(5)])  # one seed of three, and level
     played = [*played[:2], Played(entries[2], stuck), Played(other, stuck)]
-    (method,) = document(Result(Plan((*entries, other)), tuple(played)))["methods"]
+    plan = Plan((*entries, other))
+    (method,) = document(Result(plan, tuple(played)))["methods"]
     difference = method["baselines"][0]["difference"]
     assert difference["success"]["mean"] == pytest.approx(2 / 3)
     assert difference["pitch_variation_100hz"] is None
+    # Two of three seeds fail in all 5 episodes: no episode was reached by all, two are traced.
+    fail = Result(plan, (played[0], *(Played(e, stuck) for e in entries[1:]), Played(other, rows)))
+    found = document(fail)
+    assert policies(found, "mine").title == "mine on step · 5 episodes of each seed"
+    clear = {("step", "mine (3 seeds)", "level"): Interval(4.0, 3.0, 5.0).to_dict()}
+    told = [text for _, text in findings(found, clear)]
+    assert "Worse than **level**, flippers held still: **mine (3 seeds)** on step (" in told[2]
+    assert told[-1].startswith("10 of 20 episodes failed, counted for each training seed: **mine")
+    traced = [(item.policy, item.row["episode"]) for item in choose(fail, found)]
+    assert traced[8:] == [("mine, seed 1", 1)]  # beside the first and the telling episode of each
 
 
 def test_scenes_of_a_terrain_are_told_apart_by_what_differs() -> None:
