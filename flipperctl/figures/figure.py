@@ -272,8 +272,6 @@ _WORDS = {
     SUCCESS: "Success [%]",
     VARIATION: r"Pitch variation $\hat{\theta}_\mathrm{R}$ [rad]",
     "pitch_variation_decisions": r"Pitch variation $\hat{\theta}_\mathrm{R}$ at decisions [rad]",
-    "return": "Return",
-    "loss": "Loss",
     "epsilon": r"Random actions $\varepsilon$",
 }
 
