@@ -4,8 +4,9 @@ A robot that is geometry alone carries no load and has nubot's masses and speed.
 """
 
 import math
+from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,8 +94,7 @@ def contacts(
     reach, x = robot.reach + touch, position[:, 0]
     first, last = profile.indices(x - reach), profile.indices(x + reach)
     outermost, touching = np.zeros((2, len(x), 2)), np.zeros(len(x), np.bool_)
-    search = _compiled()
-    search(
+    compiled(_search)(
         *(profile.cloud, profile.spacing, first, last, np.array(position), begin, along, unit),
         *(robot.track_radius, touch, outermost, touching),
     )
@@ -102,12 +102,14 @@ def contacts(
 
 
 @cache
-def _compiled() -> Any:
+def compiled(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a function as machine code."""
     from numba import njit  # takes a third of a second to import
 
     from flipperctl.api.jit import cached
 
-    return cached(njit)(_search)
+    code: Callable[..., None] = cached(njit)(function)
+    return code
 
 
 def _search(

@@ -5,13 +5,14 @@ stability margins.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from flipperctl.api import FloatArray, RobotGeometry
 
-from .posture import tipping_rise
+from .posture import compiled, tipping_rise
 
 _CELL = 0.01
 """Distance between the heights of the ground [m]."""
@@ -55,10 +56,11 @@ def rest(
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
     # Parts on each side of the centre hold it up, and it cannot be lower than either allows.
     ground = _inflated(points, robot.track_radius, places[0] - reach, places[-1] + reach)
-    ahead = _contacts(ground, robot, places, front, 1.0)
-    behind = _contacts(ground, robot, places, rear, -1.0)
-    above = ahead.height[..., :, None] - behind.height[..., None, :]  # (K, T, A, B)
-    lowest = np.maximum(above, 0.0) + behind.height[..., None, :]
+    ahead = _parts(robot.hinge_offset, robot.flipper_axle, tuple(front), 1.0)
+    behind = _parts(robot.hinge_offset, robot.flipper_axle, tuple(rear), -1.0)
+    ahead_height, behind_height = (_heights(ground, places, parts) for parts in (ahead, behind))
+    above = ahead_height[..., :, None] - behind_height[..., None, :]  # (K, T, A, B)
+    lowest = np.maximum(above, 0.0) + behind_height[..., None, :]
     index = lowest.argmin(axis=1, keepdims=True)  # of the pitch, (K, 1, A, B)
     # The pitch of equal heights lies between the lowest one and the next on the side that is free.
     here = np.take_along_axis(above, index, axis=1)
@@ -67,41 +69,87 @@ def rest(
     there = np.take_along_axis(above, neighbour, axis=1)
     between = np.divide(here, here - there, out=np.zeros_like(here), where=here * there < 0)
     pitch = _PITCHES[index] + between * (_PITCHES[neighbour] - _PITCHES[index])
-
-    def at_rest(values: FloatArray) -> FloatArray:
-        return np.take_along_axis(values, index, axis=1)[:, 0]
-
     # The robot tips over the lower barrier, and hooks at the steeper slope.
-    barriers = at_rest(ahead.barrier[..., :, None]), at_rest(behind.barrier[..., None, :])
-    slopes = at_rest(ahead.slope[..., :, None]), at_rest(behind.slope[..., None, :])
-    return Rest(pitch[:, 0], at_rest(lowest), np.minimum(*barriers), np.maximum(*slopes))
+    a, b = np.ogrid[: len(front), : len(rear)]
+    touching = (
+        _contact(ground, robot, places, parts[:, index[:, 0], angle], sign)
+        for parts, angle, sign in ((ahead, a, 1.0), (behind, b, -1.0))
+    )
+    barriers, slopes = zip(*touching, strict=True)
+    height = np.take_along_axis(lowest, index, axis=1)
+    return Rest(pitch[:, 0], height[:, 0], np.minimum(*barriers), np.maximum(*slopes))
 
 
-class _Contacts(NamedTuple):
-    """The parts on one side of the chassis centre, each (K, T, A): place, pitch, angle."""
+@lru_cache(maxsize=8)
+def _parts(hinge: float, axle: float, angles: tuple[float, ...], sign: float) -> FloatArray:
+    """Return (x, z) of the parts ahead of the chassis centre (``sign`` 1) or behind it (-1).
 
-    height: FloatArray
-    """Height of the chassis centre at which they touch the ground [m]."""
-    barrier: FloatArray
-    """Rise of the chassis centre until the robot tips over the outermost contact [m]."""
-    slope: FloatArray
-    """Slope of the inflated ground at the first contact [rad]."""
-
-
-def _contacts(
-    ground: FloatArray, robot: RobotGeometry, places: FloatArray, angles: FloatArray, sign: float
-) -> _Contacts:
-    """Return the contacts ahead of the chassis centre (``sign`` 1) or behind it (-1)."""
+    (2, T, A, S), for each pitch and each of the ``angles`` [rad], from the chassis centre [m].
+    ``hinge``: distance of the hinge from the centre, ``axle``: length of the flipper's axis [m].
+    """
 
     def axis(length: float, angle: FloatArray, along: FloatArray) -> FloatArray:
         return sign * length * np.stack([np.cos(angle), np.sin(angle)])[..., None] * along
 
-    # Points on the axes of chassis and flipper, for each pitch and each angle
+    # Points on the axes of chassis and flipper
     pitch = np.broadcast_to(_PITCHES[:, None], (len(_PITCHES), len(angles)))
-    chassis = axis(robot.hinge_offset, pitch, _CHASSIS)  # (2, T, A, S)
-    flipper = axis(robot.flipper_axle, pitch + sign * angles, _FLIPPER) + chassis[..., -1:]
-    x, z = np.concatenate([chassis, flipper], axis=-1)  # (T, A, S), from the chassis centre
-    at = places[:, None, None, None] + x  # (K, T, A, S)
+    chassis = axis(hinge, pitch, _CHASSIS)
+    flipper = axis(axle, pitch + sign * np.array(angles), _FLIPPER) + chassis[..., -1:]
+    return np.concatenate([chassis, flipper], axis=-1)
+
+
+def _heights(ground: FloatArray, places: FloatArray, parts: FloatArray) -> FloatArray:
+    """Return the height of the chassis centre at which one of ``_parts`` touches, (K, T, A) [m]."""
+    x, z, _ = ground
+    heights = np.empty((len(places), *parts.shape[1:3]))
+    compiled(_fill)(heights, x, z, np.diff(z) / np.diff(x), places, *parts)
+    return heights
+
+
+def _fill(
+    heights: FloatArray,
+    x: FloatArray,
+    z: FloatArray,
+    slopes: FloatArray,
+    places: FloatArray,
+    parts_x: FloatArray,
+    parts_z: FloatArray,
+) -> None:
+    """Fill in the largest difference of the ground's height, as np.interp has it, and a part's z.
+
+    ``slopes`` are those between the ground's points, whose ``x`` are evenly spaced.
+    """
+    last, cell = len(x) - 1, x[1] - x[0]
+    for place, pitch, angle in np.ndindex(heights.shape):
+        highest = -math.inf
+        for part in range(parts_x.shape[2]):
+            at = places[place] + parts_x[pitch, angle, part]
+            if at >= x[last]:
+                height = z[last]
+            elif at <= x[0]:
+                height = z[0]
+            else:
+                # The spacing is rounded, so that the point before may be the next one.
+                i = min(int((at - x[0]) / cell), last - 1)
+                if x[i] > at:
+                    i -= 1
+                elif x[i + 1] <= at:
+                    i += 1
+                height = slopes[i] * (at - x[i]) + z[i]
+            highest = max(highest, height - parts_z[pitch, angle, part])
+        heights[place, pitch, angle] = highest
+
+
+def _contact(
+    ground: FloatArray, robot: RobotGeometry, places: FloatArray, parts: FloatArray, sign: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return what the parts of one side touch at rest, each (K, A, B), by their (x, z) there [m].
+
+    The rise of the chassis centre until the robot tips over the outermost contact [m], and the
+    slope of the inflated ground at the first one [rad].
+    """
+    x, z = parts  # (K, A, B, S)
+    at = places[:, None, None, None] + x
     heights = np.interp(at, ground[0], ground[1]) - z
     # The part that needs the highest centre touches first.
     first = heights.argmax(axis=-1)[..., None]
@@ -111,11 +159,8 @@ def _contacts(
     outward = np.where(heights >= height - _TOUCH, sign * x, -np.inf)
     outermost = outward.argmax(axis=-1)[..., None]
     across = np.maximum(0.0, np.take_along_axis(outward, outermost, axis=-1))
-    above = robot.track_radius - np.take_along_axis(
-        np.broadcast_to(z, at.shape), outermost, axis=-1
-    )
-    rise = tipping_rise(across, above)
-    return _Contacts(height[..., 0], rise[..., 0], slope[..., 0])
+    above = robot.track_radius - np.take_along_axis(z, outermost, axis=-1)
+    return tipping_rise(across, above)[..., 0], slope[..., 0]
 
 
 def _inflated(points: FloatArray, radius: float, low: float, high: float) -> FloatArray:

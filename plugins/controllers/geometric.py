@@ -111,15 +111,23 @@ class Geometric(Controller):
         """
         count = pitch.shape[1]
         to_go = np.abs(pitch[-1] - pitch[-1, count // 2, count // 2])  # from each pair of angles
-        options = np.empty((len(_TURNS), count, count))
+        there = np.zeros((len(costs), count + 2, count + 2))
+        there[:, 1:-1, 1:-1] = pitch[1:]
+        changes = np.abs(_after_turns(there) - pitch[:-1, None])  # (K, 9, A, A)
+        turned = self.turn * np.abs(_TURNS).sum(axis=1)[:, None, None]
         # Backwards from the last place: what remains to be paid from each pair of angles
-        for at in range(len(costs) - 1, -1, -1):
-            # Angles beyond the stops have an infinite cost.
-            there = np.pad(pitch[at + 1], 1)
-            then = np.pad(costs[at] + to_go, 1, constant_values=math.inf)
-            for option, (i, j) in zip(options, _TURNS, strict=True):
-                window = np.s_[1 + i : 1 + i + count, 1 + j : 1 + j + count]
-                turned = self.turn * (abs(i) + abs(j))
-                option[:] = then[window] + np.abs(there[window] - pitch[at]) + turned
+        then = np.full((count + 2, count + 2), math.inf)  # angles beyond the stops
+        for cost, change in zip(costs[::-1], changes[::-1], strict=True):
+            then[1:-1, 1:-1] = cost + to_go
+            options: FloatArray = _after_turns(then) + change + turned
             to_go = options.min(axis=0)
         return options
+
+
+def _after_turns(padded: FloatArray) -> FloatArray:
+    """Return the values after each of ``_TURNS``, (…, 9, A, A), of ones (…, A + 2, A + 2)."""
+    count = padded.shape[-1] - 2
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (count, count), axis=(-2, -1))
+    front, rear = np.transpose(_TURNS) + 1
+    after: FloatArray = windows[..., front, rear, :, :]
+    return after
