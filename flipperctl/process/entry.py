@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import gc
 import os
 import re
 import signal
@@ -45,6 +46,9 @@ def run(program: Callable[[], int]) -> NoReturn:
     An error prints one line on stderr and has its own exit code. Ctrl-C exits with 130, a pipe
     closed by its reader (``| head``) with 1.
     """
+    # Imports make objects that last by the hundred thousand; to search them for garbage again and
+    # again took half a second of each command that imports torch.
+    gc.set_threshold(100 * gc.get_threshold()[0])
     code = _code_of(program)
     # The interpreter's own flush at exit would print its error in its own way; this comes first.
     for stream in filter(None, (sys.stdout, sys.stderr)):

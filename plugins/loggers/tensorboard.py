@@ -27,8 +27,8 @@ class TensorBoard(Logger):
 class Events:
     """Write scalars under ``at_a_glance/``, ``episode/`` and ``validation/``; steps are decisions.
 
-    The events equal those of torch's SummaryWriter, but they are written in this thread. The thread
-    of SummaryWriter would print a traceback when the disk is full or the folder is deleted.
+    They are written in this thread: that of torch's SummaryWriter would print a traceback when the
+    disk is full or the folder is deleted.
     """
 
     def __init__(self, folder: Path, resume_at: int | None = None) -> None:
@@ -67,11 +67,12 @@ class Events:
         self._event(summary=cast("Any", summary).text("note", text))
 
     def _scalars(self, group: str, row: Mapping[str, Any]) -> None:
-        from torch.utils.tensorboard import summary
+        from tensorboard.compat.proto.summary_pb2 import Summary
 
-        scalar = cast("Any", summary).scalar
-        for name, value in scalars(group, row).items():
-            self._event(summary=scalar(name, value), step=row["decision"])
+        # A single event for the whole row takes a third of the time and of the space.
+        numbers = scalars(group, row).items()
+        values = [Summary.Value(tag=name, simple_value=number) for name, number in numbers]
+        self._event(summary=Summary(value=values), step=row["decision"])
 
     def _drop_after(self, decision: int) -> None:
         """Make viewers drop the events after this decision from an earlier start of the run."""
