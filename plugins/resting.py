@@ -70,7 +70,7 @@ def rest(
     between = np.divide(here, here - there, out=np.zeros_like(here), where=here * there < 0)
     pitch = _PITCHES[index] + between * (_PITCHES[neighbour] - _PITCHES[index])
     # The robot tips over the lower barrier, and hooks at the steeper slope.
-    a, b = np.ogrid[: len(front), : len(rear)]
+    a, b = np.arange(len(front))[:, None], np.arange(len(rear))
     touching = (
         _contact(ground, robot, places, parts[:, index[:, 0], angle], sign)
         for parts, angle, sign in ((ahead, a, 1.0), (behind, b, -1.0))
@@ -117,25 +117,21 @@ def _fill(
 ) -> None:
     """Fill in the largest difference of the ground's height, as np.interp has it, and a part's z.
 
-    ``slopes`` are those between the ground's points, whose ``x`` are evenly spaced.
+    ``slopes`` are those between the ground's points, whose ``x`` are evenly spaced and reach beyond
+    all parts.
     """
-    last, cell = len(x) - 1, x[1] - x[0]
+    per_metre = 1 / (x[1] - x[0])
     for place, pitch, angle in np.ndindex(heights.shape):
         highest = -math.inf
         for part in range(parts_x.shape[2]):
             at = places[place] + parts_x[pitch, angle, part]
-            if at >= x[last]:
-                height = z[last]
-            elif at <= x[0]:
-                height = z[0]
-            else:
-                # The spacing is rounded, so that the point before may be the next one.
-                i = min(int((at - x[0]) / cell), last - 1)
-                if x[i] > at:
-                    i -= 1
-                elif x[i + 1] <= at:
-                    i += 1
-                height = slopes[i] * (at - x[i]) + z[i]
+            # The spacing is rounded, so that the point before may be a neighbour of this one.
+            i = int((at - x[0]) * per_metre)
+            if x[i] > at:
+                i -= 1
+            elif x[i + 1] <= at:
+                i += 1
+            height = slopes[i] * (at - x[i]) + z[i]
             highest = max(highest, height - parts_z[pitch, angle, part])
         heights[place, pitch, angle] = highest
 
