@@ -46,8 +46,7 @@ def run(program: Callable[[], int]) -> NoReturn:
     An error prints one line on stderr and has its own exit code. Ctrl-C exits with 130, a pipe
     closed by its reader (``| head``) with 1.
     """
-    # Imports make objects that last by the hundred thousand; to search them for garbage again and
-    # again took half a second of each command that imports torch.
+    # Searching the objects of imports, which last, for garbage took half a second with torch.
     gc.set_threshold(100 * gc.get_threshold()[0])
     code = _code_of(program)
     # The interpreter's own flush at exit would print its error in its own way; this comes first.

@@ -180,7 +180,7 @@ class Trainer:
         for step in collector.episode():
             ending = None if step.ending is None else dict(step.ending)
             self._recorder.add(step, progress.episode)
-            self.count_decision()
+            progress.decision += 1
             learning.add(step, progress.decision)
             self.follow()
             if progress.decision >= self.config.train.decisions:
@@ -201,10 +201,6 @@ class Trainer:
         if due or self._checkpoint_due(before):
             self._save_all(collector.outstanding())
         return True
-
-    def count_decision(self) -> None:
-        """Count a decision."""
-        self.progress.decision += 1
 
     def follow(self) -> None:
         """Take the number of updates and the loss from the learner."""
@@ -431,7 +427,7 @@ class OwnLoop:
 
     def count_decision(self) -> None:
         """Count a decision."""
-        self._trainer.count_decision()
+        self._trainer.progress.decision += 1
         self._trainer.follow()
 
     def end_episode(self, ending: Mapping[str, Any]) -> None:
