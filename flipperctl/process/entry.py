@@ -47,7 +47,7 @@ def run(program: Callable[[], int]) -> NoReturn:
     closed by its reader (``| head``) with 1.
     """
     # Searching the objects of imports, which last, for garbage took half a second with torch.
-    gc.set_threshold(100 * gc.get_threshold()[0])
+    gc.set_threshold(70_000)
     code = _code_of(program)
     # The interpreter's own flush at exit would print its error in its own way; this comes first.
     for stream in filter(None, (sys.stdout, sys.stderr)):
