@@ -1,4 +1,4 @@
-"""``mpc``, ``planner`` and ``value_iteration``: the controllers that plan in simulation.
+"""``mpc``, ``planner``, ``rollouts`` and ``value_iteration``, which plan in simulation.
 
 Importing this package registers them; building their policies imports numba.
 """
@@ -10,13 +10,26 @@ from typing import Any, ClassVar
 
 from pydantic import PrivateAttr
 
-from flipperctl.api import Controller, LearnedValue, Policy, RewardTerm, Task, controller
+from flipperctl.api import (
+    Controller,
+    LearnedValue,
+    Policy,
+    RewardTerm,
+    Task,
+    ValuedPolicy,
+    controller,
+)
 from flipperctl.config import PAPER_REWARDS
 from flipperctl.config.resolver import create
 from flipperctl.errors import ConfigError
-from flipperctl.lookahead.settings import MpcSettings, PlannerSettings, ValueIterationSettings
+from flipperctl.lookahead.settings import (
+    MpcSettings,
+    PlannerSettings,
+    RolloutSettings,
+    ValueIterationSettings,
+)
 
-__all__ = ["Mpc", "Planner", "ValueIteration"]
+__all__ = ["Mpc", "Planner", "Rollouts", "ValueIteration"]
 
 
 @controller("mpc")
@@ -138,6 +151,48 @@ class Planner(PlannerSettings, Controller):
                 "flipperctl eval and inspect reward do"
             )
         return PlannerPolicy(self, self._trained)
+
+
+@controller("rollouts")
+class Rollouts(RolloutSettings, Controller):
+    """Improve a policy: try its best actions in the scene's own engine, and take the cheapest.
+
+    Each trial lasts some decisions, in which the policy drives on. It costs the change of pitch and
+    roll, the way that is not made, and the posture at its end. So it works in 3-D, with pairs and
+    with four flippers. Labels of these costs teach the policy what it lacks, again and again. It is
+    a yardstick and a teacher; it cannot run on a robot.
+    """
+
+    searches_first: ClassVar[bool] = True
+    closed_loop: ClassVar[bool] = True
+    baselines: ClassVar[tuple[str, ...]] = ("geometric", "level")
+
+    _trained: ValuedPolicy | None = PrivateAttr(None)
+
+    def uses(self) -> Mapping[str, str]:
+        """Return ``policy``."""
+        return {"policy": self.policy}
+
+    def using(self, task: Task) -> Rollouts:
+        """Return these settings with the policy that ``policy`` names."""
+        settings = self.model_copy()
+        settings._trained = task.policy("policy")
+        return settings
+
+    def build(self) -> Policy:
+        """Return a policy that tries its actions in the simulator of the episode.
+
+        Raises:
+            ConfigError: ``using`` has not read the policy that ``policy`` names, or it has rates.
+        """
+        from flipperctl.lookahead.rollouts import RolloutPolicy
+
+        if self._trained is None or self._trained.kind == "rates":
+            raise ConfigError(
+                f"policy: {self.policy!r} is no policy of Q-values that this command reads; a run, "
+                "a checkpoint, an exported file or a shipped policy is allowed"
+            )
+        return RolloutPolicy(self, self._trained)
 
 
 @controller("value_iteration")

@@ -227,3 +227,25 @@ class ValueIterationSettings(Settings):
         description="fraction of the groups whose ground is level from some bin ahead on, as a "
         "search on perceived ground takes it to be; for the values of controller.value [-]",
     )
+
+
+class RolloutSettings(Settings):
+    """Whose actions are tried, how many, how far, and what the way and the posture cost."""
+
+    policy: str = Field(
+        "generalist",
+        description="a run, a checkpoint, an exported file or a shipped policy of Q-values, which "
+        "proposes the actions and drives on after them [-]",
+    )
+    breadth: int = Field(10, ge=1, le=81, description="best actions that are tried [-]")
+    horizon: int = Field(6, ge=1, le=100, description="decisions of each trial [-]")
+    worse: float = Field(
+        0.3, ge=0, le=100, description="cost above the best at which a trial ends early [rad]"
+    )
+    roll: float = Field(1.0, ge=0, le=100, description="cost of roll beside that of pitch [-]")
+    behind: float = Field(
+        0.8, ge=0, le=100, description="cost of a metre less than the belts' speed makes [rad/m]"
+    )
+    posture: float = Field(
+        0.5, ge=0, le=100, description="cost of a radian of pitch and roll at the end [-]"
+    )
