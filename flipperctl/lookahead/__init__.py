@@ -155,7 +155,7 @@ class Planner(PlannerSettings, Controller):
 
 @controller("rollouts")
 class Rollouts(RolloutSettings, Controller):
-    """Improve a policy: try its best actions in the scene's own engine, and take the cheapest.
+    """Try a policy's best actions in the engine itself, and take the cheapest.
 
     Each trial lasts some decisions, in which the policy drives on. It costs the change of pitch and
     roll, the way that is not made, and the posture at its end. So it works in 3-D, with pairs and
