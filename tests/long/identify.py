@@ -172,7 +172,7 @@ def _messages(builder: Builder, speed: float, rng: np.random.Generator) -> Itera
     for time, command in builder.commands:
         if command[:2] != last or round(time / PERIOD) % 10 == 0:
             last = command[:2]
-            yield Stamped(time, "/flipper_controller/commands", make.numbers(make.angles(*last)))
+            yield Stamped(time, "/flipper_controller/commands", make.numbers(make.angles(last)))
     for state in builder.states[:: round(1 / (PERIOD * RATE))]:
         time, noise = state.time, rng.normal(0, 0.003, 3)
         joints = state.front + noise[0], state.rear + noise[1]
