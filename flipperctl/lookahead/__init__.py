@@ -6,7 +6,7 @@ Importing this package registers them; building their policies imports numba.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from pydantic import PrivateAttr
 
@@ -15,6 +15,7 @@ from flipperctl.api import (
     LearnedValue,
     Policy,
     RewardTerm,
+    Settings,
     Task,
     ValuedPolicy,
     controller,
@@ -108,8 +109,29 @@ def _misfits(learned: LearnedValue, task: Task) -> Iterator[str]:
     return learned.misfits(task.config.robot, task.config.perception.layout)
 
 
+class _Improving(Settings):
+    """Settings of a controller that begins with the policy that ``policy`` names, if any."""
+
+    policy: str
+    baselines: ClassVar[tuple[str, ...]] = ("geometric", "level")
+
+    _trained: ValuedPolicy | None = PrivateAttr(None)
+
+    def uses(self) -> Mapping[str, str]:
+        """Return ``policy``, if it names one."""
+        return {"policy": self.policy} if self.policy else {}
+
+    def using(self, task: Task) -> Self:
+        """Return these settings with the policy that ``policy`` names."""
+        if not self.policy:
+            return self
+        settings = self.model_copy()
+        settings._trained = task.policy("policy")
+        return settings
+
+
 @controller("planner")
-class Planner(PlannerSettings, Controller):
+class Planner(PlannerSettings, _Improving, Controller):
     """Search for the best trajectory before the episode begins, then play it.
 
     The cost of a trajectory is its time plus ``smoothness`` seconds for each radian of θ̂_R at
@@ -121,21 +143,6 @@ class Planner(PlannerSettings, Controller):
     """
 
     searches_first: ClassVar[bool] = True
-    baselines: ClassVar[tuple[str, ...]] = ("geometric", "level")
-
-    _trained: Policy | None = PrivateAttr(None)
-
-    def uses(self) -> Mapping[str, str]:
-        """Return ``policy``, if it names one."""
-        return {"policy": self.policy} if self.policy else {}
-
-    def using(self, task: Task) -> Planner:
-        """Return these settings with the policy that ``policy`` names."""
-        if not self.policy:
-            return self
-        settings = self.model_copy()
-        settings._trained = task.policy("policy")
-        return settings
 
     def build(self) -> Policy:
         """Return a policy that searches for a plan at the start of each episode.
@@ -154,7 +161,7 @@ class Planner(PlannerSettings, Controller):
 
 
 @controller("rollouts")
-class Rollouts(RolloutSettings, Controller):
+class Rollouts(RolloutSettings, _Improving, Controller):
     """Try a policy's best actions in the engine itself, and take the cheapest.
 
     Each trial lasts some decisions, in which the policy drives on. It costs the change of pitch and
@@ -165,19 +172,6 @@ class Rollouts(RolloutSettings, Controller):
 
     searches_first: ClassVar[bool] = True
     closed_loop: ClassVar[bool] = True
-    baselines: ClassVar[tuple[str, ...]] = ("geometric", "level")
-
-    _trained: ValuedPolicy | None = PrivateAttr(None)
-
-    def uses(self) -> Mapping[str, str]:
-        """Return ``policy``."""
-        return {"policy": self.policy}
-
-    def using(self, task: Task) -> Rollouts:
-        """Return these settings with the policy that ``policy`` names."""
-        settings = self.model_copy()
-        settings._trained = task.policy("policy")
-        return settings
 
     def build(self) -> Policy:
         """Return a policy that tries its actions in the simulator of the episode.
