@@ -38,9 +38,8 @@ _FLOOR = "#CBC5BA"
 _WIDE = 20.0  # half the width of the floor [m]
 _HAZE = 8.0, 15.0  # distance from the camera at which the haze begins, and is all that is seen [m]
 _CLEARER = 1.4, 0.5  # by how much farther they are for each further lane [m]
-_NAME, _BEHIND = (1.75, 0.3), 0.43
-"""Where the name of a lane begins, x from its robot and y, and by how much farther ahead for each
-lane between it and the camera, whose robots may raise a flipper before it [m]."""
+_NAME = 1.8, 0.3
+"""Where the name of a lane begins: x from its robot, and y [m]."""
 _THIN = 0.02  # ground of a lane above the floor, at its lowest point [m]
 _SKIES = {False: ("#C3DAEE", SKY), True: ("#1C2530", "#252E39")}
 """Colours of the sky at its top and at the horizon, by whether the page is dark."""
@@ -202,7 +201,6 @@ class LiveScene:
         """``scene``: ``viser.SceneApi``; ``lane``: number of lanes between it and the camera."""
         name, side = f"/drive/{lane}", lane * (WIDTH + _BETWEEN)
         self._scene, self._name, self._side = scene, name, side
-        self._ahead = _NAME[0] + lane * _BEHIND
         self._robot: RobotGeometry | None = None
         self._root = scene.add_frame(name, show_axes=False, position=(0.0, side, 0.0))
         self._parts: dict[str, Any] = {}
@@ -273,7 +271,7 @@ class LiveScene:
         chassis = self._parts["chassis"]
         chassis.position = (x, state.side, z)
         chassis.wxyz = _quaternion(rotation(state))
-        ahead = x + self._ahead
+        ahead = x + _NAME[0]
         self._label.position = (ahead, _NAME[1], self._profile.height(ahead))
         # A flipper that is raised by θ turns against the y axis in front, and with it at the rear.
         for name, angle in zip(JOINTS["four"], _four(angles_of(state)), strict=True):

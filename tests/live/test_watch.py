@@ -7,7 +7,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -298,18 +297,7 @@ def test_a_number_lies_over_no_robot_and_no_other_number(count: int) -> None:
     corners = [(x, y, z) for x in (-half, half) for y in (-wide, wide) for z in (-0.1, up)]
     places = [lane * (scene.WIDTH + scene._BETWEEN) for lane in range(count)]
     bodies = [seen(np.add(corners, (0.0, y, 0.0))) for y in places]
-    # Front flippers of a robot that rears up on its rear ones, in parts
-    half, near = robot.hinge_offset, 0.1 * np.array(list(product((-1, 1), (-3.5, 3.5), (-1, 1))))
-    for pitch, turn in product((0.0, 0.4, 0.8), (-0.5, 0.5, 1.0)):
-        high = (2 * half + robot.flipper_axle) * math.sin(pitch)
-        for part in np.linspace(0, robot.flipper_axle, 5):
-            x = half * math.cos(pitch) + part * math.cos(pitch + turn)
-            z = high + part * math.sin(pitch + turn)
-            bodies += [seen(np.add(near, (x, y, z))) for y in places]
-    ahead = [scene.LiveScene(MagicMock(), lane)._ahead for lane in range(count)]
-    begins = [
-        seen(np.array([[ahead[at], y + scene._NAME[1], -0.1]])) for at, y in enumerate(places)
-    ]
+    begins = [seen(np.array([[scene._NAME[0], y + scene._NAME[1], -0.1]])) for y in places]
     numbers = [begin + letters * 2 / height for begin in begins]
     for at, number in enumerate(numbers):
         assert not any(overlap(number, other) for other in [*bodies, *numbers[:at]])
