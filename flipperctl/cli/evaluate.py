@@ -223,7 +223,7 @@ def map_success(
 
 def replay(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A recorded failure, or a folder: its first.")
+        Path, typer.Argument(metavar="FILE", help="A recorded failure or drive, or a folder: its first.")
     ],
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="RUN_OR_FILE", help="The policy, if it has moved since.")
@@ -237,7 +237,7 @@ def replay(
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
-    """Play a recorded failure once more, and check that it is the same bit for bit.
+    """Play a recorded failure or drive once more, and check that it is the same bit for bit.
 
     eval --output and map --output record failures as failure_….json.
 

@@ -284,7 +284,7 @@ def _print(document: dict[str, Any], picture: Path | None) -> None:
         | {
             "decision": f"{row['decision']:.0f}",
             "success": percent(row["success_rate"]),
-            "return": row["return"] if row["mean_return"] is None else row["mean_return"],
+            "mean_return": row["return"] if row["mean_return"] is None else row["mean_return"],
         }
         for row in document["validations"]
     ]
@@ -294,7 +294,7 @@ def _print(document: dict[str, Any], picture: Path | None) -> None:
         Column("pitch_variation_100hz", HEADING, 3),
         Column("pitch_variation_decisions", PAPERS_HEADING, 3),
         Column("t_cost", "time [s]", 1),
-        Column("return", "reward"),
+        Column("mean_return", "return"),
     )
     print_table(Table(columns, rows, f"{document['run']}: {state}"), console())
     if picture is not None:

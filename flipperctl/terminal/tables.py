@@ -52,8 +52,8 @@ _PROFILES = (
     Column("length", "length [m]", 3),
     Column("lowest", "lowest [m]", 3),
     Column("highest", "highest [m]", 3),
-    Column("climb", "climb [m]", 3),
-    Column("largest_face", "largest face [m]", 3),
+    Column("climb", "end above start [m]", 3),
+    Column("largest_face", "largest vertical face [m]", 3),
     Column("steepest_slope_degrees", "steepest slope [°]", 3),
     Column("drawn", "drawn", wrapped=True),
 )

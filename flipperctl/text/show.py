@@ -98,13 +98,13 @@ def value_text(value: Any, column: Column) -> str:
 def interval_text(interval: Mapping[str, Any] | None, digits: int = 2, *, sign: str = "") -> str:
     """Return ``mean [low, high]``.
 
-    A mean without an interval is followed by ``[–]``, and ``–`` stands for None.
+    A mean without an interval, or of equal values, is followed by ``[–]``; ``–`` stands for None.
     ``sign`` as in a format specification: ``+`` shows the sign of positive numbers too.
     """
     if interval is None:
         return NONE
     mean, low, high = interval["mean"], interval["low"], interval["high"]
-    if low is None or high is None:
+    if low is None or high is None or low == high:
         return f"{mean:{sign}z.{digits}f} [–]"
     mean, low, high = (f"{n:{sign}z.{digits}f}" for n in (mean, low, high))
     return f"{mean} [{low}, {high}]"

@@ -419,8 +419,8 @@ def _alike(result: Result) -> Iterator[str]:
             hashes.add(entry.conditions.hash)
             yield (
                 f"{entry.terrain}: all {count} episodes are identical, since nothing is random; "
-                "their intervals are meaningless (episode.start_noise, perception.noise, randomise "
-                "or conditions=varied make episodes differ)"
+                "their means have no intervals (episode.start_noise, perception.noise, randomise or "
+                "conditions=varied make episodes differ)"
             )
 
 

@@ -67,8 +67,8 @@ class Okada(Controller):
         ge=-2,
         le=2,
         description="rear flipper angle as a fraction of the terrain angle behind the robot: 1 "
-        "lays the rear pair along the terrain, 0 holds it level with the chassis, which is the "
-        "smoothest [-]",
+        "lays the rear pair along the terrain, 0 holds it level with the chassis, as is the "
+        "smoothest for okada [-]",
     )
 
     margin: float | None = Field(

@@ -77,7 +77,7 @@ def largest_impact(episode: Sequence[Transition]) -> float:
 
 @measure("pitch_variation_decisions", unit="rad", reached_only=True, better="lower")
 def pitch_variation(episode: Sequence[Transition]) -> float:
-    """θ̂_R, the sum of the pitch changes between decisions (paper Eq. 8) [rad]."""
+    """Sum of the pitch changes between decisions: θ̂_R of paper Eq. 8 [rad]."""
     return _total(abs(t.after.pitch - t.before.pitch) for t in episode)
 
 

@@ -84,7 +84,7 @@ def test_the_sentences_name_scene_difference_and_best_reference() -> None:
     first, second, mean, last = [text for text, _ in sentences([less, more])]
     assert first == (
         "mine on step: EARNS LESS THAN HOLDING THE FLIPPERS STILL, difference "
-        "-0.50 [-0.50, -0.50]; to the best reference, mpc: -5.50 [-7.46, -3.54]"
+        "-0.50 [–]; to the best reference, mpc: -5.50 [-7.46, -3.54]"
     )
     assert "earns more than holding the flippers still, difference +0.50" in second
     assert mean == "share of the gain, mean of 2: 0.00"  # -0.5 / 5 and 0.5 / 5
@@ -92,7 +92,7 @@ def test_the_sentences_name_scene_difference_and_best_reference() -> None:
     assert line(less).startswith(
         "Check on 5 new episodes, 95 % intervals in brackets: return 2.50; mpc 8.00; "
         "flippers held still 3.00.\n"
-        "The policy EARNS LESS THAN HOLDING THE FLIPPERS STILL (-0.50 [-0.50, -0.50])."
+        "The policy EARNS LESS THAN HOLDING THE FLIPPERS STILL (-0.50 [–])."
     )
     assert line(None) == ""
     named = [row["policy"] for row in table([less]).rows]

@@ -253,7 +253,7 @@ def test_the_document_and_the_table_have_a_row_for_each_group() -> None:
     (shown,) = evaluation.group_tables("stair", scene, "mine")
     assert shown.title == "mine on stair by steps"
     assert [text[:2] for text in shown.texts()] == [["3", "5"], ["12", "2"]]
-    assert shown.texts()[0][-1] == "+1.00 [+1.00, +1.00]"  # at 100 Hz
+    assert shown.texts()[0][-1] == "+1.00 [–]"  # at 100 Hz
     assert "by" not in evaluation.document(drawn_result([{"steps": 3}]))["scenes"][0]
 
 
