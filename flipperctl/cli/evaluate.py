@@ -223,7 +223,8 @@ def map_success(
 
 def replay(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A recorded failure or drive, or a folder: its first.")
+        Path,
+        typer.Argument(metavar="FILE", help="A recorded failure or drive, or a folder: its first."),
     ],
     checkpoint: Annotated[
         Path | None, typer.Option(metavar="RUN_OR_FILE", help="The policy, if it has moved since.")

@@ -419,7 +419,7 @@ def _alike(result: Result) -> Iterator[str]:
             hashes.add(entry.conditions.hash)
             yield (
                 f"{entry.terrain}: all {count} episodes are identical, since nothing is random; "
-                "their means have no intervals (episode.start_noise, perception.noise, randomise or "
+                "means have no interval (episode.start_noise, perception.noise, randomise or "
                 "conditions=varied make episodes differ)"
             )
 
