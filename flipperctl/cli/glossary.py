@@ -79,7 +79,8 @@ reached: Outcome: the robot passed the finish and stands on the ground again.
 regret: The return that a policy misses compared with the best of several references on the same
     episodes (inspect reward --regret).
 return: The sum of the rewards of an episode. It depends on the rewards; pitch variation and
-    success do not. Of a validation, screens show mean_return, over all episodes without shaping.
+    success do not. Of a validation, screens and figures show mean_return, over all episodes without
+    shaping.
 reward: What training maximises: a weighted sum of terms at each decision. flipperctl list rewards
 risk: The probability that the episode fails within the next ten decisions, which some policies
     learn (agent.risk). From a threshold on it is a warning.
@@ -91,6 +92,8 @@ score: Of compare: the measure of the episodes that were reached, at most the pr
 scene: A terrain with fixed settings and conditions on which policies are evaluated.
 seed: The number from which all random numbers of a training or an evaluation follow. Equal seeds
     give equal results.
+still crossed: Between engines, the share of the episodes which the first one reached that the
+    second one reaches, too.
 stuck: Outcome: the robot made too little progress (episode.stuck_window).
 substep: One step of the physics within a decision (sim.substep).
 success: The share of episodes with the outcome reached; success_rate in JSON and of --columns.

@@ -61,7 +61,7 @@ def plot(
         str | None,
         typer.Option(
             metavar="LENGTH",
-            help="Width of the figure, as in 3.5in or 18cm [3.5in; poses: 7.16in].",
+            help="Width of the figure, as in 3.5in or 18cm [3.5in; poses: 7.16in; slides: 10in].",
         ),
     ] = None,
     style: Annotated[

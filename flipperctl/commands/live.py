@@ -82,6 +82,8 @@ def watch(
         if len(names) > 1 or settings:
             raise RequestError(f"{folders[0]}: failures are shown alone, under their own settings")
         entrants, find = [_failures(Path(folders[0]))], None
+    elif judged := [name for name in names if Path(name, "cells.csv").is_file()]:
+        raise RequestError(f"{judged[0]}: none of its episodes failed; name a policy to watch")
     else:
         flagged = with_flags(settings, seed=seed)
         entrants, find = _entrants(names, flagged), _finder(flagged)

@@ -111,9 +111,9 @@ class Train(Settings):
 
     mode: Literal["fast", "exact"] = Field(
         "fast",
-        description="fast: workers play whole episodes while the learner updates, with weights a "
-        "few episodes old; exact: the learner's process plays decision by decision with the newest "
-        "weights [-]",
+        description="fast: workers play whole episodes while the learner updates, with weights up "
+        "to two episodes old; exact: the learner's process plays decision by decision with the "
+        "newest weights [-]",
     )
     workers: int = Field(
         1, ge=1, le=1024, description="worker processes that play episodes in mode fast [-]"

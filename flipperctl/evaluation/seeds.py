@@ -74,16 +74,17 @@ def means(scores: Mapping[str, FloatArray]) -> FloatArray:
 
 
 def success_interval(method: SeedSamples) -> Interval:
-    """Return the success rate.
+    """Return the success rate, the mean of those of the scenes.
 
-    Where nothing varies in any scene, it has the interval of one seed's episodes.
+    One seed, and seeds that agree everywhere, have the score interval of all episodes.
     """
     rates = method.successes()
     episodes = sum(values.shape[1] for values in rates.values())
     mean = float(np.mean([values.mean() for values in rates.values()]))
-    # Nothing varies over seeds or scenes: the score interval of one rate
-    if mean in (0.0, 1.0) or (method.seeds == 1 and len(rates) == 1):
-        return proportion(round(mean * episodes), episodes)
+    # Nothing varies over seeds: the score interval of one rate
+    if mean in (0.0, 1.0) or method.seeds == 1:
+        of_all = proportion(round(mean * episodes), episodes)
+        return Interval(mean, of_all.low, of_all.high)
     interval = mean_interval(rates)
     if interval.low is None or interval.high is None:
         return interval

@@ -210,7 +210,9 @@ def _series(
         at, rate = column(checked, "decision"), column(checked, "success_rate")
         if metric == SUCCESS:
             return at, 100 * rate
-        values = column(checked, metric)
+        # As on screens: of all episodes, without shaping
+        paid = metric == "return" and all(row.get("mean_return") for row in checked)
+        values = column(checked, "mean_return" if paid else metric)
         return at, np.where(rate == 0, math.nan, values) if metric in _REACHED_ONLY else values
     # Training episodes, in running means
     played = _of(rows, "episode")

@@ -85,8 +85,9 @@ def gauges(lane: Lane, moment: Moment, state: RobotState) -> str:
     end = "" if lane.outcome is None else f"  {lane.outcome.value}"
     risk = "" if moment.risk is None else f"  risk {moment.risk:.2f}"
     return (
-        f"{state.time:5.1f} s {state.position[0]:6.2f} m  pitch {pitch:+3d}° "
-        f"({lane.history.variation:.2f} rad)  front {front}  rear {rear}  {doing}{risk}{end}"
+        f"{state.time:5.1f} s {state.position[0]:6.2f} m  pitch {pitch:+3d}°, "
+        f"variation {lane.history.variation:.2f} rad  front {front}  rear {rear}  {doing}"
+        f"{risk}{end}"
     )
 
 

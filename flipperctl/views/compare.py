@@ -43,6 +43,7 @@ ALL = "all"  # name that stands for a comparison of every pair of methods
 _PRICED = ("pitch_variation_100hz", "pitch_variation_decisions", *ROLLS)
 """Measures for which ``PRICE`` is the default."""
 _INTERVALS = "Means with 95 % intervals over training seeds, of which there are n, and episodes."
+_OF_ONE = "Means with 95 % intervals over episodes alone, of one training seed or a rule."
 _SEED = 0  # seed of the bootstrap
 _METHODS = (
     Column("name", "method", named=True),
@@ -283,7 +284,9 @@ def paper_table(compared: Document, label: str) -> Table:
         last,
     )
     (methods_table, *_) = tables(compared, label)
-    return Table(columns, rows, methods_table.title, [*methods_table.notes, _INTERVALS])
+    single = all(method["seeds"] == 1 for method in methods)
+    notes = [*methods_table.notes, _OF_ONE if single else _INTERVALS]
+    return Table(columns, rows, methods_table.title, notes)
 
 
 def seed_warnings(compared: Document) -> Iterator[str]:

@@ -88,7 +88,7 @@ _COLUMNS = (
     Column("step", "step", named=True),
     Column("success", "Δ success (p, Holm of {of})"),
     Column("variation", "Δ pitch variation [rad]", sign="+"),
-    Column("kept", "crossed in both"),
+    Column("kept", "still crossed"),
     Column("causes", "failures by cause", named=True),
 )
 
