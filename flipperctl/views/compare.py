@@ -241,9 +241,8 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
         f"Score: {label}; a failed episode counts {price}, and a crossing at most that. Its "
         "95 % interval allows for failures that so few episodes need not show."
     ]
-    # Of fewer than four mean scores, the interquartile mean is the mean.
-    same = all(m["iqm"]["mean"] == m["score"]["mean"] for m in compared["methods"])
-    columns = [column for column in _METHODS if not (same and column.key == "iqm")]
+    differs = _iqm_differs(compared["methods"])
+    columns = [column for column in _METHODS if differs or column.key != "iqm"]
     yield Table(columns, rows, f"Episodes of each seed: {episodes}", notes)
     if gaps:
         title = "Differences on the same episodes; a smaller score is better"
@@ -251,11 +250,16 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
         yield Table(_GAPS, gaps, title, [note])
 
 
-def paper_table(compared: Document, label: str) -> Table:
-    """Return the table of methods for a paper, pooled over training seeds, with five columns.
+def _iqm_differs(methods: Sequence[Document]) -> bool:
+    """Return whether any interquartile mean is not the mean, as it is of fewer than four scores."""
+    return any(method["iqm"]["mean"] != method["score"]["mean"] for method in methods)
 
-    The last one is the difference to the method that all are compared with, or else the
-    interquartile mean. ``label``: of the measure.
+
+def paper_table(compared: Document, label: str) -> Table:
+    """Return the table of methods for a paper, pooled over training seeds.
+
+    Its last column is the difference to the method that all are compared with, or else the
+    interquartile mean, if that is not the score. ``label``: of the measure.
     """
     methods = compared["methods"]
     called = shown_names([method["method"] for method in methods])
@@ -272,16 +276,16 @@ def paper_table(compared: Document, label: str) -> Table:
         rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
     # The last column is the difference, if all are compared with the same method.
     against = {method["comparison"]["against"] for method in methods if method["comparison"]}
-    last = Column("iqm", f"IQM {unit}")
+    last = [Column("iqm", f"IQM {unit}")] if _iqm_differs(methods) else []
     if len(against) == 1:
         (other,) = against
-        last = Column("gap", f"Δ to {called[other]} {unit}")
+        last = [Column("gap", f"Δ to {called[other]} {unit}")]
     columns = (
         Column("name", "method", named=True),
         Column("seeds", "seeds", latex="$n$"),
         Column("success", "success [%]"),
         Column("score", f"score {unit}"),
-        last,
+        *last,
     )
     (methods_table, *_) = tables(compared, label)
     single = all(method["seeds"] == 1 for method in methods)
