@@ -277,10 +277,7 @@ def disagreements() -> Iterator[str]:
     packages = {"hydra_plugins"}  # a namespace package, which has no __init__.py
     for package, folder in PACKAGES.items():
         inside = [init.parent for init in (ROOT / folder).rglob("__init__.py")]
-        for place in (
-            *inside,
-            *(ROOT / folder).rglob("templates"),
-        ):
+        for place in (*inside, *(ROOT / folder).rglob("templates")):
             packages.add(".".join([package, *place.relative_to(ROOT / folder).parts]))
     if packages != (listed := set(document["tool"]["setuptools"]["packages"])):
         yield f"pyproject.toml and the folders differ in the packages {sorted(packages ^ listed)}"

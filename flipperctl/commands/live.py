@@ -172,6 +172,7 @@ def drive(
     from flipperctl.live import study as studies
     from flipperctl.live.drive import DrivePage
     from flipperctl.policies.source import load_policy
+    from flipperctl.text.messages import percent
 
     if not re.fullmatch(r"[\w-][\w.-]{0,39}", person):
         raise RequestError(
@@ -226,7 +227,7 @@ def drive(
         variation = row["pitch_variation_100hz"]
         print_note(
             f"{task.title}, {kind} {task.number}: {row['outcome']} after {row['t_cost']:.1f} s, "
-            f"pitch variation {variation:.2f} rad; {100 * late:.3g} % of ticks late"
+            f"pitch variation {variation:.2f} rad; {percent(late)} of ticks late"
         )
 
     def answered(task: drives.Task, answers: tuple[int, ...]) -> None:

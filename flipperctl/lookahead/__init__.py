@@ -166,8 +166,7 @@ class Rollouts(RolloutSettings, _Improving, Controller):
 
     Each trial lasts some decisions, in which the policy drives on. It costs the change of pitch and
     roll, the way that is not made, and the posture at its end. So it works in 3-D, with pairs and
-    with four flippers. Labels of these costs teach the policy what it lacks, again and again. It is
-    a yardstick and a teacher; it cannot run on a robot.
+    with four flippers. It is a yardstick for policies and cannot run on a robot.
     """
 
     searches_first: ClassVar[bool] = True

@@ -239,9 +239,6 @@ class RolloutSettings(Settings):
     )
     breadth: int = Field(10, ge=1, le=81, description="best actions that are tried [-]")
     horizon: int = Field(6, ge=1, le=100, description="decisions of each trial [-]")
-    worse: float = Field(
-        0.3, ge=0, le=100, description="cost above the best at which a trial ends early [rad]"
-    )
     roll: float = Field(1.0, ge=0, le=100, description="cost of roll beside that of pitch [-]")
     behind: float = Field(
         0.8, ge=0, le=100, description="cost of a metre less than the belts' speed makes [rad/m]"

@@ -442,12 +442,12 @@ def _conditions(result: Result) -> Iterator[str]:
 
 def _risks(evaluated: Document) -> Iterator[str]:
     """Yield a line for each policy that told its risk, on all of its scenes together."""
-    called, told = shown_names(evaluated), defaultdict[tuple[str, float], list[Document]](list)
+    called, by_policy = shown_names(evaluated), defaultdict[tuple[str, float], list[Document]](list)
     for scene in evaluated["scenes"]:
         if scene.get("risk"):
             who = called[scene.get("method") or scene["controller"]]
-            told[who, scene["risk"]["threshold"]].append(scene["risk"])
-    for (who, _), risks in told.items():
+            by_policy[who, scene["risk"]["threshold"]].append(scene["risk"])
+    for (who, _), risks in by_policy.items():
         yield f"risk, {who}: {summary.risk_text(*risks)}"
 
 
